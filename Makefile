@@ -1,0 +1,40 @@
+# make demo   denoise the bundled sequence with the runtime alone
+# make test   the whole test suite
+# make check  lint and type checks
+PYTHON ?= python3
+RUNTIME := .venv-runtime
+FULL := .venv
+
+.PHONY: demo test check benchmark clean
+
+demo: $(RUNTIME)/.ready
+	$(RUNTIME)/bin/python -m stillray.demo tests/data/room demo_out
+
+test: $(FULL)/.ready
+	$(FULL)/bin/python -m pytest
+
+check: $(FULL)/.ready
+	$(FULL)/bin/ruff check .
+	$(FULL)/bin/ruff format --check .
+	@# type checkers cannot follow the package mapping: they read what a user would install
+	rm -rf build
+	$(FULL)/bin/python -m pip install -q --no-deps --target build/typed .
+	MYPYPATH=build/typed $(FULL)/bin/mypy -p stillray
+
+benchmark: $(FULL)/.ready
+	$(FULL)/bin/python -m stillray.training.benchmark
+
+$(RUNTIME)/.ready: pyproject.toml
+	@echo "installing the runtime (numpy, onnxruntime, OpenCV, OpenImageIO; no torch) into $(RUNTIME)"
+	$(PYTHON) -m venv $(RUNTIME)
+	$(RUNTIME)/bin/python -m pip install -q -e .
+	@touch $@
+
+$(FULL)/.ready: pyproject.toml
+	@echo "installing everything (torch and Mitsuba too: a few minutes) into $(FULL)"
+	$(PYTHON) -m venv $(FULL)
+	$(FULL)/bin/python -m pip install -q -e '.[train,compare,dev]'
+	@touch $@
+
+clean:
+	rm -rf $(RUNTIME) $(FULL) build demo_out

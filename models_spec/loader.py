@@ -1,0 +1,215 @@
+"""Model specifications: one TOML file a model, read strictly.
+
+A spec says everything that turns buffers into a picture: inputs, transfer, network, decoder,
+temporal accumulation and the training recipe. The same spec, as JSON, is embedded in the model's
+.onnx file; the runtime reads nothing else.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tomllib
+import types
+import typing
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+FORMAT = 1
+
+#: Every network input plane by name, in the order that `stillray.encode` describes them.
+FEATURES = (
+    "irradiance.r", "irradiance.g", "irradiance.b", "local_luminance", "samples",
+    "albedo.r", "albedo.g", "albedo.b", "normal.x", "normal.y", "normal.z", "depth",
+)  # fmt: skip
+BUFFERS = ("color", "albedo", "normal", "depth", "motion", "color_b", "jitter")
+FAMILIES = ("weight-sharing-kernels",)
+
+
+class SpecError(ValueError):
+    """A specification that cannot be used: the message names the key and the rule."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """Buffers of `stillray.Frame` that the model takes."""
+
+    required: tuple[str, ...]
+    optional: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demodulate:
+    """Division of radiance by albedo before filtering (Fan et al. 2021, section 4.2)."""
+
+    floor: float  # smallest divisor of a channel, (0, 1]
+    black: float  # albedo below this in all channels says nothing: divide by 1 there, [0, floor]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transfer:
+    """From scene-linear irradiance to network features."""
+
+    middle: float  # exposed value of the frame's typical irradiance, > 0
+    local_size: int  # pixels, odd: window of the local luminance
+    exposure_memory: float  # share of the previous frame's log exposure that is kept, [0, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Temporal:
+    """Reprojection and accumulation before the network (Fan et al. 2021, section 4.1)."""
+
+    max_samples: float  # samples that a pixel's history is worth at most, >= 1
+    outlier_ratio: float  # a sample this many times its surroundings counts half, > 0
+    normal_cosine: float  # a tap is accepted when its normal agrees at least so much, [-1, 1]
+    depth_ratio: float  # and its depth differs at most by this share, > 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Network:
+    """ImportanceNet: a chain of RepVGG blocks (Fan et al. 2021, figure 2)."""
+
+    features: tuple[str, ...]  # input planes by name
+    widths: tuple[int, ...]  # output channels of every block but the last
+    kernel_size: int  # pixels, odd
+    branches: tuple[int, ...]  # kernel sizes trained side by side and fused for inference
+    identity: bool  # an identity branch where input and output widths agree (training only)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decoder:
+    """Fused weight-sharing kernels (Fan et al. 2021, eq. 2 to 5)."""
+
+    kernel_sizes: tuple[int, ...]  # pixels, odd, one importance map each
+    logit_bound: float  # importance and fusion logits are clipped to +- this, (0, 40]
+    weigh_samples: bool  # multiply importance by the samples that a pixel holds
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """The recipe that `python -m stillray.training.train` follows."""
+
+    steps: int
+    batch: int
+    patch: int  # pixels
+    learning_rate: float  # Adam, cosine decay to 1 % of it
+    smape_epsilon: float  # Fan et al. 2021, eq. 6, in exposed radiance
+    drop_feature: float  # probability that albedo, normal or depth is withheld from a patch
+    exposure_stops: float  # exposure is varied by +- this
+    seed: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSpec:
+    """Everything about one model but its weights."""
+
+    format: int
+    name: str
+    family: str
+    summary: str
+    aliases: tuple[str, ...]
+    inputs: Inputs
+    demodulate: Demodulate
+    transfer: Transfer
+    temporal: Temporal
+    network: Network
+    decoder: Decoder
+    training: Training
+
+    def __post_init__(self) -> None:
+        if self.format != FORMAT:
+            raise SpecError(f"format must be {FORMAT}, got {self.format}")
+        _one_of("family", self.family, FAMILIES)
+        for name in self.inputs.required + self.inputs.optional:
+            _one_of("inputs", name, BUFFERS)
+        for name in self.network.features:
+            _one_of("network.features", name, FEATURES)
+        for size in (*self.decoder.kernel_sizes, *self.network.branches, self.transfer.local_size):
+            if size < 1 or size % 2 == 0:
+                raise SpecError(f"kernel sizes must be odd and positive, got {size}")
+        if max(self.network.branches) != self.network.kernel_size:
+            raise SpecError(
+                "network.branches must have network.kernel_size "
+                f"({self.network.kernel_size}) as their largest, got {self.network.branches}"
+            )
+        _within("demodulate.floor", self.demodulate.floor, 1e-6, 1)
+        _within("demodulate.black", self.demodulate.black, 0, self.demodulate.floor)
+        _within("transfer.middle", self.transfer.middle, 1e-6, 1e6)
+        _within("transfer.exposure_memory", self.transfer.exposure_memory, 0, 0.999)
+        _within("temporal.max_samples", self.temporal.max_samples, 1, 1e6)
+        _within("temporal.outlier_ratio", self.temporal.outlier_ratio, 1e-3, 1e9)
+        _within("temporal.normal_cosine", self.temporal.normal_cosine, -1, 1)
+        _within("temporal.depth_ratio", self.temporal.depth_ratio, 1e-6, 1e6)
+        # exp of twice the bound times a window must stay far inside float32 (3e38)
+        _within("decoder.logit_bound", self.decoder.logit_bound, 1e-3, 40)
+
+    def to_json(self) -> str:
+        """The spec as JSON text, as it is embedded in a model file."""
+        return json.dumps(dataclasses.asdict(self), sort_keys=True)
+
+
+def parse(data: dict[str, Any]) -> ModelSpec:
+    """Build a spec from nested dictionaries.
+
+    Raises
+    ------
+    SpecError
+        A key is unknown or missing, or a value breaks its rule.
+    """
+    return _build(ModelSpec, data, "")
+
+
+def load(name: str) -> ModelSpec:
+    """Load the packaged spec of a model by name, ``load("wskp-3")``.
+
+    Raises
+    ------
+    SpecError
+        There is no such spec (the message lists those there are), or it breaks a rule.
+    """
+    folder = resources.files("stillray.models_spec")
+    names = sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith(".toml"))
+    if name not in names:
+        raise SpecError(f"model must be one of {', '.join(names)}, got {name}")
+    return parse(tomllib.loads((folder / f"{name}.toml").read_text()))
+
+
+def from_json(text: str) -> ModelSpec:
+    """Read back what `ModelSpec.to_json` wrote."""
+    return parse(json.loads(text))
+
+
+def _build(kind: type, data: Any, path: str) -> Any:
+    if not isinstance(data, dict):
+        raise SpecError(f"{path.rstrip('.')} must be a table, got {data!r}")
+    hints = typing.get_type_hints(kind)
+    if unknown := sorted(set(data) - set(hints)):
+        raise SpecError(f"unknown key {path}{unknown[0]}; known keys: {', '.join(hints)}")
+    if missing := [key for key in hints if key not in data]:
+        raise SpecError(f"missing key {path}{missing[0]}")
+    return kind(**{key: _value(hint, data[key], path + key) for key, hint in hints.items()})
+
+
+def _value(hint: Any, value: Any, path: str) -> Any:
+    if dataclasses.is_dataclass(hint):
+        return _build(typing.cast(type, hint), value, path + ".")
+    if typing.get_origin(hint) is tuple:
+        if not isinstance(value, list | tuple):
+            raise SpecError(f"{path} must be a list, got {value!r}")
+        return tuple(_value(typing.get_args(hint)[0], item, path) for item in value)
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(hint, types.UnionType) or type(value) is not hint:
+        raise SpecError(f"{path} must be of type {hint.__name__}, got {value!r}")
+    return value
+
+
+def _one_of(key: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise SpecError(f"{key} must be one of {', '.join(known)}, got {value}")
+
+
+def _within(key: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise SpecError(f"{key} must be in [{low:g}, {high:g}], got {value:g}")

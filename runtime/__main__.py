@@ -1,0 +1,8 @@
+"""``python -m stillray``: the same as the ``stillray`` command."""
+
+import sys
+
+from stillray.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,125 @@
+"""``stillray info``: what a file holds, what is made of it, and which stages will run."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+def info(
+    file: Annotated[str, typer.Argument(help="An EXR file, or a sequence: its first frame.")],
+    model: Annotated[
+        str, typer.Option("--model", "-m", help="Quality, model name or .onnx file.")
+    ] = "balanced",
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Show the channels found, their roles, and the stages that will run."""
+    facts = _collect(file, model)
+    if as_json:
+        print(json.dumps(facts, indent=2))
+    else:
+        _print_facts(facts)
+
+
+def _collect(file: str, model: str) -> dict[str, Any]:
+    from stillray.denoiser import Denoiser
+    from stillray.exr import read_channels, read_metadata, require_color
+    from stillray.frame import Frame
+    from stillray.layers import find_layers, gather
+    from stillray.sequence import expand
+
+    path = expand(file)[0].path
+    channels = read_channels(path)
+    matches = require_color(path, find_layers(channels))
+    spec = read_metadata(path)
+    frame = Frame(**{match.role: gather(match, channels) for match in matches if match.used})
+    with Denoiser(model) as denoiser:
+        stages, model_name = denoiser.stages(frame), denoiser.model.name
+    height, width = frame.shape
+    return {
+        "file": str(path),
+        "height": height,
+        "width": width,
+        "data_window": [spec.x, spec.y, spec.width, spec.height],
+        "display_window": [spec.full_x, spec.full_y, spec.full_width, spec.full_height],
+        "channels": list(channels),
+        "layers": [
+            {
+                "role": match.role,
+                "channels": list(match.channels),
+                "signs": list(match.signs),
+                "naming": match.renderer,
+                "used": match.used,
+                "note": match.note,
+            }
+            for match in matches
+        ],
+        "color_pixels": _count_pixels(frame.color),
+        "warnings": _warnings(frame.normal),
+        "model": model_name,
+        "stages": [
+            {"name": stage.name, "runs": stage.runs, "reason": stage.reason} for stage in stages
+        ],
+    }
+
+
+def _count_pixels(color: np.ndarray) -> dict[str, int]:
+    import numpy as np
+
+    return {
+        "total": color.shape[0] * color.shape[1],
+        "nan": int(np.isnan(color).any(axis=-1).sum()),
+        "infinite": int(np.isinf(color).any(axis=-1).sum()),
+        "negative": int((color < 0).any(axis=-1).sum()),
+    }
+
+
+def _warnings(normal: np.ndarray | None) -> list[str]:
+    import numpy as np
+
+    if normal is None or not np.any(normal > 0) or np.any(normal < 0):
+        return []
+    return ["normal has no negative component: it may be encoded as 0..1, which is not decoded"]
+
+
+def _print_facts(facts: dict[str, Any]) -> None:
+    from rich.table import Table
+
+    from stillray.cli.output import console
+
+    out = console()
+    pixels = facts["color_pixels"]
+    out.print(f"{facts['file']}: {facts['width']} x {facts['height']} pixels")
+    for name in ("data_window", "display_window"):
+        x, y, width, height = facts[name]
+        out.print(f"{name.replace('_', ' ')}: {width} x {height} at ({x}, {y})")
+    counts = ", ".join(f"{pixels[kind]} {kind}" for kind in ("nan", "infinite", "negative"))
+    out.print(f"color pixels: {counts}, of {pixels['total']}")
+    for warning in facts["warnings"]:
+        out.print(f"warning: {warning}")
+    out.print()
+
+    layers = Table("role", "channels", "naming", "used", "note", box=None, pad_edge=False)
+    for layer in facts["layers"]:
+        signed = [
+            f"-{name}" if sign < 0 else name
+            for name, sign in zip(layer["channels"], layer["signs"], strict=True)
+        ]
+        used = "yes" if layer["used"] else "no"
+        layers.add_row(layer["role"], ", ".join(signed), layer["naming"], used, layer["note"])
+    out.print(layers)
+    taken = {name for layer in facts["layers"] for name in layer["channels"]}
+    rest = [name for name in facts["channels"] if name not in taken]
+    out.print(f"channels without a role: {', '.join(rest) or 'none'}")
+    out.print()
+
+    stages = Table("stage", "runs", "why", box=None, pad_edge=False)
+    for stage in facts["stages"]:
+        stages.add_row(stage["name"], "yes" if stage["runs"] else "no", stage["reason"])
+    out.print(f"stages with {facts['model']}, for a first frame:")
+    out.print(stages)

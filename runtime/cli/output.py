@@ -1,0 +1,19 @@
+"""Where the commands print: fitted to a terminal, unwrapped into pipes and files."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_UNWRAPPED_COLUMNS = 400  # wider than any table here
+
+
+def console() -> Console:
+    """A console on standard output."""
+    from rich.console import Console
+
+    width = None if sys.stdout.isatty() else _UNWRAPPED_COLUMNS
+    return Console(width=width, highlight=False, markup=False, soft_wrap=False)

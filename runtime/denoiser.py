@@ -1,0 +1,368 @@
+"""The way of one frame: from a renderer's buffers to a clean picture and the next history."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import TracebackType
+
+import cv2
+import numpy as np
+
+from stillray import accumulate as acc
+from stillray import encode, kernels, stages
+from stillray.demodulate import divisor
+from stillray.errors import InputError
+from stillray.frame import Frame
+from stillray.models_spec.loader import ModelSpec
+from stillray.registry import ModelInfo, find_model, open_session
+from stillray.repair import repair_feature, repair_radiance
+from stillray.reproject import Guides, reproject
+from stillray.strips import Strips, available_threads
+
+MAX_DEPTH = 1e30  # any unit; keeps products of depth in float32
+MAX_MOTION = 1e6  # pixels; far outside every frame, and exact in float32
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class History:
+    """What is remembered of the past: a value that can be kept, dropped or copied.
+
+    Attributes
+    ----------
+    mean : (h, w, 4) float32
+        Accumulated irradiance and, last, the samples that each pixel holds.
+    guides
+        Geometry of the last frame.
+    exposure
+        1 / irradiance, steadied over the sequence.
+    """
+
+    mean: np.ndarray
+    guides: Guides
+    exposure: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prepared:
+    """A frame on its way, ready for the network: also what training learns from.
+
+    Attributes
+    ----------
+    history
+        The history after this frame; its ``mean`` is what the kernels filter.
+    divisor : (h, w, 3) float32 or None
+        What radiance was divided by; None where there is no albedo.
+    local : (h, w) float32
+        Tone-mapped local luminance of the accumulated irradiance.
+    albedo : (h, w, 3) float32 or None
+        Repaired.
+    depth_unit
+        Scale of the depth feature.
+    """
+
+    history: History
+    divisor: np.ndarray | None
+    local: np.ndarray
+    albedo: np.ndarray | None
+    depth_unit: float
+
+
+class Denoiser:
+    """A stream of frames through one model; holds the history between them.
+
+    Parameters
+    ----------
+    model
+        A quality (``"fast"``, ``"balanced"``, ``"high"``), a model's name, or the path of an
+        .onnx file.
+    threads
+        Threads to use, 1 or more; None for every processor that this process may use.
+    providers
+        ONNX Runtime execution providers; None for the CPU.
+    temporal
+        Whether frames are accumulated; without, each is denoised alone.
+
+    Raises
+    ------
+    InputError
+        Unknown model, provider or number of threads.
+
+    Examples
+    --------
+    >>> import numpy as np, stillray
+    >>> with stillray.Denoiser("fast") as denoiser:
+    ...     clean = denoiser.denoise(stillray.Frame(color=np.ones((4, 6, 3))))
+    >>> clean.shape
+    (4, 6, 3)
+    """
+
+    def __init__(
+        self,
+        model: str | os.PathLike[str] = "balanced",
+        *,
+        threads: int | None = None,
+        providers: Sequence[str] | None = None,
+        temporal: bool = True,
+    ) -> None:
+        if threads is not None and threads < 1:
+            raise InputError(f"threads must be 1 or more, got {threads}")
+        threads = threads or available_threads()
+        self.model: ModelInfo = find_model(model)
+        self.temporal = temporal
+        self.history: History | None = None
+        #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
+        self.last_timings: dict[str, float] = {}
+        self._session = open_session(
+            self.model.path, threads=threads, providers=tuple(providers) if providers else None
+        )
+        self._strips = Strips(threads)
+
+    def __enter__(self) -> Denoiser:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the worker threads."""
+        self._strips.close()
+
+    def reset(self) -> None:
+        """Forget the past: call it at a cut."""
+        self.history = None
+
+    def stages(self, frame: Frame) -> list[stages.Stage]:
+        """What will run for this frame, and why; nothing is run."""
+        same_size = self.history is not None and self.history.mean.shape[:2] == frame.shape
+        return stages.plan(frame, self.model.spec, has_history=same_size, temporal=self.temporal)
+
+    def denoise(self, frame: Frame) -> np.ndarray:
+        """Denoise the next frame.
+
+        Parameters
+        ----------
+        frame
+            The buffers. A frame of another size than the last starts a new history.
+
+        Returns
+        -------
+        (height, width, 3) float32
+            Scene-linear radiance: finite, >= 0, and within the range of the accumulated radiance
+            of each window, since kernels cannot invent light.
+        """
+        self.last_timings = {}
+        spec = self.model.spec
+        prepared = prepare(
+            frame, spec, self.history if self.temporal else None, self._strips, self.last_timings
+        )
+        features = self._encode(frame, spec, prepared)
+        with timed(self.last_timings, "network"):
+            (logits_nchw,) = self._session.run(None, {"features": features})
+        image = self._reconstruct(prepared, logits_nchw[0], spec)
+        self.history = prepared.history if self.temporal else None
+        return image
+
+    def _encode(self, frame: Frame, spec: ModelSpec, prepared: Prepared) -> np.ndarray:
+        height, width = frame.shape
+        features_nchw = np.zeros((1, len(spec.network.features), height, width), np.float32)
+        guides, mean = prepared.history.guides, prepared.history.mean
+
+        def pack(rows: slice) -> None:
+            planes = encode.feature_planes(
+                mean[rows],
+                prepared.local[rows],
+                prepared.history.exposure,
+                spec.temporal,
+                albedo=None if prepared.albedo is None else prepared.albedo[rows],
+                normal=None if guides.normal is None else guides.normal[rows],
+                depth=None if guides.depth is None else guides.depth[rows],
+                depth_unit=prepared.depth_unit,
+            )
+            for index, name in enumerate(spec.network.features):
+                if name in planes:
+                    features_nchw[0, index, rows] = planes[name]
+
+        with timed(self.last_timings, "encode"):
+            self._strips.run(pack, height, width)
+        return features_nchw
+
+    def _reconstruct(self, prepared: Prepared, logits: np.ndarray, spec: ModelSpec) -> np.ndarray:
+        mean = prepared.history.mean
+        height, width = mean.shape[:2]
+        image = np.empty((height, width, 3), np.float32)
+        halo = kernels.reach(spec.decoder)
+
+        def filter_strip(rows: slice) -> None:
+            top, bottom = max(rows.start - halo, 0), min(rows.stop + halo, height)
+            inner = slice(rows.start - top, rows.stop - top)
+            image[rows] = kernels.filter_rows(
+                mean[top:bottom, :, :3],
+                mean[top:bottom, :, 3],
+                logits[:, top:bottom],
+                inner,
+                spec.decoder,
+            )
+
+        with timed(self.last_timings, "reconstruct"):
+            self._strips.run(filter_strip, height, width)
+        if prepared.divisor is not None:
+            with timed(self.last_timings, "modulate"):
+                cv2.multiply(image, prepared.divisor, dst=image)
+        return image
+
+
+def denoise(
+    color: np.ndarray,
+    albedo: np.ndarray | None = None,
+    normal: np.ndarray | None = None,
+    *,
+    depth: np.ndarray | None = None,
+    quality: str | os.PathLike[str] = "balanced",
+    threads: int | None = None,
+) -> np.ndarray:
+    """Denoise one image.
+
+    Parameters
+    ----------
+    color : (h, w, 3)
+        Noisy scene-linear radiance.
+    albedo, normal : (h, w, 3), optional
+        Features; each makes the result better.
+    depth : (h, w), optional
+        Camera z or distance.
+    quality
+        As `Denoiser`'s ``model``.
+    threads
+        As `Denoiser`'s.
+
+    Returns
+    -------
+    (h, w, 3) float32
+
+    Raises
+    ------
+    InputError
+        A buffer or the model cannot be used.
+    """
+    with Denoiser(quality, threads=threads, temporal=False) as denoiser:
+        return denoiser.denoise(Frame(color=color, albedo=albedo, normal=normal, depth=depth))
+
+
+def prepare(
+    frame: Frame,
+    spec: ModelSpec,
+    history: History | None,
+    strips: Strips,
+    timings: dict[str, float],
+) -> Prepared:
+    """Repair, demodulate, expose, reproject and accumulate: all that comes before the features.
+
+    Parameters
+    ----------
+    frame
+        The buffers.
+    spec
+        The model's specification.
+    history
+        The past, or None; one of another size is not used.
+    strips
+        Where the work runs.
+    timings
+        Stage name to milliseconds, filled in.
+    """
+    height, width = frame.shape
+    with timed(timings, "repair"):
+        color, broken = repair_radiance(frame.color)
+        albedo = None if frame.albedo is None else repair_feature(frame.albedo, 0, 1)
+        normal = None if frame.normal is None else repair_feature(frame.normal, -1, 1)
+        depth = None if frame.depth is None else repair_feature(frame.depth, 0, MAX_DEPTH)
+    guides = Guides(normal=normal, depth=depth)
+
+    irradiance, light = color, np.empty((height, width), np.float32)
+    divide_by = None if albedo is None else np.empty_like(color)
+    if divide_by is not None:
+        irradiance = np.empty_like(color)
+
+    def demodulate(rows: slice) -> None:
+        if albedo is not None and divide_by is not None:
+            divide_by[rows] = divisor(albedo[rows], spec.demodulate)
+            np.divide(color[rows], divide_by[rows], out=irradiance[rows])
+        light[rows] = encode.luminance(irradiance[rows])
+
+    with timed(timings, "demodulate"):
+        strips.run(demodulate, height, width)
+    if history is not None and history.mean.shape[:2] != frame.shape:
+        history = None
+    with timed(timings, "expose"):
+        before = None if history is None else history.exposure
+        exposure = encode.steady_exposure(
+            encode.frame_exposure(light, spec.transfer), before, spec.transfer
+        )
+        local = encode.local_luminance(light, exposure, spec.transfer)
+
+    past: np.ndarray | None = None
+    if history is not None and frame.motion is not None:
+        with timed(timings, "warp"):
+            past = _warp(frame.motion, history, guides, spec, strips)
+    mean = np.empty((height, width, 4), np.float32)
+
+    def accumulate(rows: slice) -> None:
+        weight = acc.sample_weight(light[rows], local[rows], exposure, spec.temporal)
+        if broken is not None:
+            weight[broken[rows]] = acc.MIN_WEIGHT
+        mean[rows] = acc.accumulate(
+            irradiance[rows], weight, None if past is None else past[rows], spec.temporal
+        )
+        if past is not None:
+            light[rows] = encode.luminance(mean[rows, :, :3])
+
+    with timed(timings, "accumulate"):
+        strips.run(accumulate, height, width)
+        if past is not None:
+            local = encode.local_luminance(light, exposure, spec.transfer)
+        depth_unit = 1.0 if depth is None else encode.depth_scale(depth)
+    return Prepared(
+        history=History(mean=mean, guides=guides, exposure=exposure),
+        divisor=divide_by,
+        local=local,
+        albedo=albedo,
+        depth_unit=depth_unit,
+    )
+
+
+def _warp(
+    motion: np.ndarray, history: History, guides: Guides, spec: ModelSpec, strips: Strips
+) -> np.ndarray:
+    height, width = motion.shape[:2]
+    past = np.empty((height, width, 4), np.float32)
+    moving = bool(motion.any())
+
+    def work(rows: slice) -> None:
+        past[rows] = reproject(
+            history.mean,
+            history.guides,
+            guides.rows(rows),
+            np.clip(motion[rows], -MAX_MOTION, MAX_MOTION) if moving else None,
+            rows,
+            spec.temporal,
+        )
+
+    strips.run(work, height, width)
+    return past
+
+
+@contextmanager
+def timed(timings: dict[str, float], name: str) -> Iterator[None]:
+    """Add the milliseconds of the block to ``timings[name]``."""
+    start = time.perf_counter()
+    yield
+    timings[name] = timings.get(name, 0.0) + 1e3 * (time.perf_counter() - start)

@@ -1,0 +1,93 @@
+"""A renderer's buffers for one frame, validated once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from stillray.errors import InputError
+
+_CHANNELS = {"color": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "color_b": 3}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Frame:
+    """One frame of a render: arrays of ``(height, width, channels)``, row 0 at the top.
+
+    float16 or float32 arrays are taken as they are (other real types are converted);
+    they are kept as C-order float32 and never changed.
+
+    Parameters
+    ----------
+    color : (h, w, 3)
+        Noisy scene-linear radiance; may hold NaN, infinities and negatives.
+    albedo : (h, w, 3), optional
+        Surface colour in [0, 1]; 0 where nothing was hit.
+    normal : (h, w, 3), optional
+        Unit shading normal in any fixed space; 0 where nothing was hit.
+    depth : (h, w), optional
+        Camera z or distance in any unit; 0 or infinity where nothing was hit.
+    motion : (h, w, 2), optional
+        Pixels, x right and y down: where this point was in the previous frame minus where it
+        is now.
+    color_b : (h, w, 3), optional
+        A second, independent estimate of color.
+    jitter : (2,), optional
+        Sub-pixel camera offset in pixels.
+
+    Raises
+    ------
+    InputError
+        An array has a wrong shape or type.
+    """
+
+    color: np.ndarray
+    albedo: np.ndarray | None = None
+    normal: np.ndarray | None = None
+    depth: np.ndarray | None = None
+    motion: np.ndarray | None = None
+    color_b: np.ndarray | None = None
+    jitter: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        color = _as_float32("color", self.color)
+        if color.ndim != 3 or color.shape[2] != 3 or 0 in color.shape:
+            raise InputError(f"color must have shape (height, width, 3), got {color.shape}")
+        object.__setattr__(self, "color", color)
+        height, width = color.shape[:2]
+        for name, channels in _CHANNELS.items():
+            value = getattr(self, name)
+            if name == "color" or value is None:
+                continue
+            array = _as_float32(name, value)
+            expected = (height, width) if channels == 1 else (height, width, channels)
+            if channels == 1 and array.shape == (height, width, 1):
+                array = array[..., 0]
+            if array.shape != expected:
+                raise InputError(f"{name} must have shape {expected} like color, got {array.shape}")
+            object.__setattr__(self, name, array)
+        if self.jitter is not None:
+            jitter = _as_float32("jitter", self.jitter)
+            if jitter.shape != (2,):
+                raise InputError(f"jitter must have shape (2,), got {jitter.shape}")
+            object.__setattr__(self, "jitter", jitter)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        height, width = self.color.shape[:2]
+        return height, width
+
+    @property
+    def given(self) -> frozenset[str]:
+        """Names of the buffers that this frame holds."""
+        return frozenset(f.name for f in fields(self) if getattr(self, f.name) is not None)
+
+
+def _as_float32(name: str, value: object) -> np.ndarray:
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{name} must be a real array (float16 or float32), got {array.dtype}")
+    with np.errstate(over="ignore"):  # a float64 beyond the range becomes Inf, which is repaired
+        return np.ascontiguousarray(array, dtype=np.float32)

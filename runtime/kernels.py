@@ -1,0 +1,77 @@
+"""Reconstruction with fused weight-sharing kernels (Fan et al. 2021, section 4.2).
+
+Kernels are never built. Their softmax over a shared importance map (eq. 3, 4) is a ratio of two
+box sums, ``sum(exp(I) r) / sum(exp(I))``, and a box sum is separable.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from stillray.models_spec.loader import Decoder
+
+
+def reach(options: Decoder) -> int:
+    """Pixels that the largest kernel looks to each side."""
+    return max(options.kernel_sizes) // 2
+
+
+def filter_rows(
+    irradiance: np.ndarray,
+    samples: np.ndarray,
+    logits: np.ndarray,
+    inner: slice,
+    options: Decoder,
+) -> np.ndarray:
+    """Filter an image, or a strip of one with its neighbouring rows.
+
+    Parameters
+    ----------
+    irradiance : (h, w, 3) float32
+        What is filtered, >= 0 and finite.
+    samples : (h, w) float32
+        Samples that each pixel holds, > 0: multiplies its importance when the spec says so.
+    logits : (2 m, h, w) float32
+        m importance maps and m fusion maps, as the network gives them; any values.
+    inner
+        The rows of the result; the others only lend their pixels.
+
+    Returns
+    -------
+    (rows, w, 3) float32
+        ``sum_i alpha_i R_i``, eq. 5: a convex combination of irradiance in each window. Windows
+        end at the border of the image, as if zero importance lay outside.
+    """
+    count = len(options.kernel_sizes)
+    planes = cv2.split(irradiance)
+    height, width = samples[inner].shape
+    total = np.zeros((3, height, width), np.float32)
+    alpha_sum = np.zeros((height, width), np.float32)
+    for index, size in enumerate(options.kernel_sizes):
+        # clipped logits need no maximum subtracted: exp stays within e^-bound .. e^bound
+        importance = _bounded_exp(logits[index], options.logit_bound)
+        if options.weigh_samples:
+            importance *= samples
+        # Normalised kernels keep sums of large radiance finite. sepFilter2D adds each window
+        # anew: boxFilter's running sums keep a residue of every firefly that has passed, which
+        # drowns darker windows (and it is no faster here).
+        kernel = np.full(size, 1 / size, np.float32)
+        weight_sum = _box(importance, kernel)[inner]
+        alpha = _bounded_exp(logits[count + index, inner], options.logit_bound)
+        share = alpha / weight_sum
+        alpha_sum += alpha
+        for channel, plane in enumerate(planes):
+            total[channel] += _box(importance * plane, kernel)[inner] * share
+    total /= alpha_sum
+    return cv2.merge(list(total))
+
+
+def _box(plane: np.ndarray, kernel: np.ndarray) -> np.ndarray:
+    return cv2.sepFilter2D(plane, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
+
+
+def _bounded_exp(logits: np.ndarray, bound: float) -> np.ndarray:
+    # fmax and fmin, not clip: they take the bound where a logit is NaN
+    bounded = np.fmin(np.fmax(logits, np.float32(-bound)), np.float32(bound))
+    return np.exp(bounded, out=bounded)

@@ -1,0 +1,154 @@
+"""The models that come with stillray, and any other .onnx file made by its export."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from stillray.errors import InputError
+from stillray.models_spec.loader import ModelSpec, SpecError, from_json
+
+SPEC_KEY = "stillray.spec"
+PROVENANCE_KEY = "stillray.provenance"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelInfo:
+    """What there is to know about a model without loading it for inference."""
+
+    name: str
+    family: str
+    summary: str
+    aliases: tuple[str, ...]
+    path: Path
+    parameters: int
+    size_bytes: int
+    inputs: tuple[str, ...]
+    optional_inputs: tuple[str, ...]
+    scores: dict[str, float]  # on the validation scenes, mean of the last frames
+    provenance: dict[str, Any]
+    spec: ModelSpec
+
+
+def list_models() -> list[ModelInfo]:
+    """The models that come with stillray, by name.
+
+    Examples
+    --------
+    >>> import stillray
+    >>> [model.name for model in stillray.list_models()]
+    ['wskp-3', 'wskp-6']
+    """
+    folder = Path(str(resources.files("stillray.models")))
+    return [
+        read_model(path)
+        for path in sorted(folder.glob("*.onnx"))
+        if not path.stem.endswith(WHOLE_SUFFIX)
+    ]
+
+
+#: Files of the whole denoise as one graph, for engines that embed ONNX Runtime themselves.
+WHOLE_SUFFIX = ".whole"
+
+
+def find_model(name: str | os.PathLike[str]) -> ModelInfo:
+    """A model by name, quality (``"fast"``, ``"balanced"``, ``"high"``) or path of an .onnx file.
+
+    Raises
+    ------
+    InputError
+        There is no such model: the message lists those there are.
+    """
+    models = list_models()
+    for model in models:
+        if name == model.name or name in model.aliases:
+            return model
+    path = Path(name)
+    if path.suffix == ".onnx":
+        return read_model(path)
+    known = [model.name for model in models] + [a for model in models for a in model.aliases]
+    raise InputError(
+        f"model must be one of {', '.join(known)} or the path of an .onnx file, got {name}"
+    )
+
+
+def read_model(path: Path) -> ModelInfo:
+    """Read the specification and provenance that a model file carries.
+
+    Raises
+    ------
+    InputError
+        The file is missing, is not ONNX, or was not made by stillray's export.
+    """
+    session = open_session(path, threads=1)
+    metadata = session.get_modelmeta().custom_metadata_map
+    try:
+        spec = from_json(metadata[SPEC_KEY])
+        provenance = json.loads(metadata[PROVENANCE_KEY])
+    except KeyError as error:
+        raise InputError(f"{path}: not a stillray model: no {error} in its metadata") from None
+    except (SpecError, ValueError) as error:
+        raise InputError(f"{path}: its specification cannot be used: {error}") from None
+    return ModelInfo(
+        name=spec.name,
+        family=spec.family,
+        summary=spec.summary,
+        aliases=spec.aliases,
+        path=path,
+        parameters=int(provenance["parameters"]),
+        size_bytes=path.stat().st_size,
+        inputs=spec.inputs.required,
+        optional_inputs=spec.inputs.optional,
+        scores=dict(provenance.get("scores", {})),
+        provenance=provenance,
+        spec=spec,
+    )
+
+
+def open_session(path: Path, *, threads: int, providers: tuple[str, ...] | None = None) -> Any:
+    """An ONNX Runtime session with set threads.
+
+    Parameters
+    ----------
+    path
+        The .onnx file.
+    threads
+        Threads of one operator.
+    providers
+        Execution providers by name; an unknown one is an error, never a silent fallback.
+
+    Raises
+    ------
+    InputError
+        The file cannot be loaded, or a provider is not installed.
+    """
+    # Imported on use: `import stillray` loads no inference engine.
+    import onnxruntime as ort
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such model file")
+    wanted = list(providers or ("CPUExecutionProvider",))
+    available = ort.get_available_providers()
+    if missing := [name for name in wanted if name not in available]:
+        raise InputError(f"providers must be among {', '.join(available)}, got {missing[0]}")
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
+    options.log_severity_level = 3
+    # denoising is called between a host's own work: idle threads must not burn its cores
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    # black regions fill a network with denormals, which are ten times slower
+    options.add_session_config_entry("session.set_denormal_as_zero", "1")
+    try:
+        session = ort.InferenceSession(str(path), options, providers=wanted)
+    except Exception as error:  # ONNX Runtime raises a family of its own, without a common base
+        first_line = str(error).splitlines()[0]
+        raise InputError(f"{path}: not a usable ONNX model: {first_line}") from None
+    if (got := session.get_providers()[: len(wanted)]) != wanted:
+        raise InputError(f"providers must all start, asked for {wanted}, got {got}")
+    return session

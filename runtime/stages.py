@@ -1,0 +1,66 @@
+"""Which stages a frame calls for, and why: a stage that is not called for is not run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillray.frame import Frame
+from stillray.models_spec.loader import ModelSpec
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of the way of a frame.
+
+    Attributes
+    ----------
+    name
+        As in the timings.
+    runs
+        Whether this frame calls for it.
+    reason
+        Why, or why not.
+    """
+
+    name: str
+    runs: bool
+    reason: str
+
+
+def plan(frame: Frame, spec: ModelSpec, *, has_history: bool, temporal: bool) -> list[Stage]:
+    """The stages for one frame, in the order they run."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = float(frame.color.sum(dtype=np.float64))
+    broken = not np.isfinite(total) or float(frame.color.min()) < 0
+    moving = frame.motion is not None and bool(frame.motion.any())
+    if not temporal:
+        past, why = False, "temporal accumulation is switched off"
+    elif not has_history:
+        past, why = False, "first frame, or the first after a reset or a new size"
+    elif frame.motion is None:
+        past, why = False, "no motion given: where the past went is not known"
+    else:
+        past, why = True, "history and motion are there"
+    albedo = frame.albedo is not None
+    return [
+        Stage(
+            "repair",
+            broken,
+            "color holds NaN, infinities or negatives" if broken else "color is finite and >= 0",
+        ),
+        Stage("demodulate", albedo, "albedo is given" if albedo else "no albedo given"),
+        Stage("expose", True, "features are relative to the frame's brightness"),
+        Stage(
+            "warp",
+            past and moving,
+            why if not past else "motion is given" if moving else "motion is zero everywhere",
+        ),
+        Stage("accumulate", past, why),
+        Stage("encode", True, f"{len(spec.network.features)} planes for the network"),
+        Stage("network", True, spec.name),
+        Stage("reconstruct", True, f"{len(spec.decoder.kernel_sizes)} fused kernels"),
+        Stage("upscale", False, "the model's scale is 1"),
+        Stage("modulate", albedo, "albedo is given" if albedo else "no albedo given"),
+    ]

@@ -1,0 +1,49 @@
+"""Row strips: element-wise stages run in cache-sized pieces, on several threads.
+
+NumPy and OpenCV release the interpreter lock while they compute, so plain threads scale, and a
+strip that fits the processor's cache saves most of the memory traffic of whole-frame temporaries.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+STRIP_PIXELS = 1 << 16  # 256 KiB a float32 plane
+
+
+class Strips:
+    """Runs a function over the row strips of frames.
+
+    Parameters
+    ----------
+    threads
+        Worker threads, 1 or more; 1 runs in the caller's thread.
+    """
+
+    def __init__(self, threads: int) -> None:
+        self._pool = ThreadPoolExecutor(threads, "stillray") if threads > 1 else None
+
+    def run(self, work: Callable[[slice], None], height: int, width: int) -> None:
+        """Call ``work(rows)`` for every strip of a frame; strips do not overlap."""
+        rows = max(1, STRIP_PIXELS // width)
+        strips = [slice(top, min(top + rows, height)) for top in range(0, height, rows)]
+        if self._pool is None or len(strips) == 1:
+            for strip in strips:
+                work(strip)
+        else:
+            # list() waits for all and raises what any of them raised
+            list(self._pool.map(work, strips))
+
+    def close(self) -> None:
+        """Stop the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+
+def available_threads() -> int:
+    """Processors that this process may use: its affinity, which containers set, not the machine."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

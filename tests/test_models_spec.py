@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+
+import pytest
+
+from stillray.models_spec import SpecError, from_json, load, parse
+
+
+@pytest.fixture
+def data():
+    return json.loads(load("wskp-3").to_json())
+
+
+@pytest.mark.parametrize("name", ["wskp-3", "wskp-6"])
+def test_spec_survives_the_metadata_of_a_model(name):
+    spec = load(name)
+    assert from_json(spec.to_json()) == spec
+
+
+def test_unknown_key_is_named(data):
+    data["decoder"]["kernal_sizes"] = [3]
+    with pytest.raises(SpecError, match=r"unknown key decoder\.kernal_sizes"):
+        parse(data)
+
+
+def test_every_missing_key_is_named(data):
+    for section, table in data.items():
+        keys = [(section,)] if not isinstance(table, dict) else [(section, key) for key in table]
+        for path in keys:
+            broken = copy.deepcopy(data)
+            owner = broken
+            for key in path[:-1]:
+                owner = owner[key]
+            del owner[path[-1]]
+            with pytest.raises(SpecError, match="missing key " + r"\.".join(path)):
+                parse(broken)
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value", "rule"),
+    [
+        ("network", "features", ["irradiance.r", "colour"], "network.features must be one of"),
+        ("decoder", "kernel_sizes", [3, 4], "must be odd"),
+        ("decoder", "logit_bound", 90.0, "decoder.logit_bound must be in"),
+        ("demodulate", "floor", 0.0, "demodulate.floor must be in"),
+        ("training", "steps", "many", "training.steps must be of type int"),
+        ("network", "branches", [3, 1], "network.branches"),
+    ],
+)
+def test_a_value_beyond_its_rule_is_named(data, section, key, value, rule):
+    data[section][key] = value
+    with pytest.raises(SpecError, match=rule):
+        parse(data)
+
+
+def test_unknown_model_lists_those_there_are():
+    with pytest.raises(SpecError, match=r"one of wskp-3, wskp-6, got wskp-7"):
+        load("wskp-7")
+
+
+def test_specs_are_frozen():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        load("wskp-3").name = "x"

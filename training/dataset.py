@@ -1,0 +1,190 @@
+"""Training patches from rendered sequences.
+
+A sequence goes through the runtime's own repair, demodulation, reprojection and accumulation, so
+that a network learns from exactly what it will see. Its last frame is accumulated from several
+starting frames: pixels then hold one sample, a few, or many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stillray import encode
+from stillray.denoiser import History, prepare
+from stillray.exr import read_channels, read_exr
+from stillray.models_spec import ModelSpec
+from stillray.strips import Strips
+from stillray.training.simulate.sequence import is_complete
+
+STARTS = (1, 3, 8)  # frames accumulated before the last one is learned from
+_FLAT = 0.05  # relative contrast of a reference patch below which there is little to learn
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Example:
+    """The last frame of a sequence as the network will meet it, and its reference."""
+
+    mean: np.ndarray  # (h, w, 4) irradiance and samples
+    exposure: float
+    divisor: np.ndarray  # (h, w, 3)
+    albedo: np.ndarray  # (h, w, 3)
+    normal: np.ndarray  # (h, w, 3)
+    depth: np.ndarray  # (h, w)
+    depth_unit: float
+    reference: np.ndarray  # (h, w, 3) radiance
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Batch:
+    """Patches as the network and the decoder take them, ``(n, c, h, w)`` float32."""
+
+    features: np.ndarray
+    irradiance: np.ndarray
+    samples: np.ndarray
+    divisor: np.ndarray
+    reference: np.ndarray
+    exposure: np.ndarray  # (n, 1, 1, 1)
+
+
+def find_sequences(folder: Path) -> list[Path]:
+    """Folders of finished sequences, sorted by name."""
+    return sorted(path for path in folder.iterdir() if path.is_dir() and is_complete(path))
+
+
+def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> Iterator[Example]:
+    """The last frame of a sequence, accumulated from each of the starting frames."""
+    (reference_path,) = sorted(sequence.glob("ref_*.exr"))[-1:]
+    paths = sorted(sequence.glob("frame_*.exr"))
+    frames = [read_exr(path) for path in paths]
+    channels = read_channels(reference_path)
+    reference = np.stack([channels[name] for name in "RGB"], axis=-1)
+    for count in STARTS:
+        history: History | None = None
+        for frame in frames[-count:]:
+            prepared = prepare(frame, spec, history, strips, {})
+            history = prepared.history
+        assert history is not None
+        assert prepared.divisor is not None
+        assert prepared.albedo is not None
+        assert history.guides.normal is not None
+        assert history.guides.depth is not None
+        yield Example(
+            mean=history.mean,
+            exposure=history.exposure,
+            divisor=prepared.divisor,
+            albedo=prepared.albedo,
+            normal=history.guides.normal,
+            depth=history.guides.depth,
+            depth_unit=prepared.depth_unit,
+            reference=reference,
+        )
+
+
+class PatchSampler:
+    """Draws augmented patches; the n-th batch depends on the seed and n only.
+
+    Parameters
+    ----------
+    examples
+        What to draw from.
+    spec
+        The model's specification.
+    """
+
+    def __init__(self, examples: list[Example], spec: ModelSpec) -> None:
+        self._examples = examples
+        self._spec = spec
+
+    def batch(self, step: int) -> Batch:
+        """The batch of one training step."""
+        recipe = self._spec.training
+        rng = np.random.default_rng([recipe.seed, step])
+        patches = [self._patch(rng) for _ in range(recipe.batch)]
+        return Batch(**{name: np.stack([patch[name] for patch in patches]) for name in patches[0]})
+
+    def _patch(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        size = self._spec.training.patch
+        for _ in range(8):  # look for a patch in which there is something to learn
+            example = self._examples[rng.integers(len(self._examples))]
+            height, width = example.reference.shape[:2]
+            top = int(rng.integers(0, max(height - size, 0) + 1))
+            left = int(rng.integers(0, max(width - size, 0) + 1))
+            window = (slice(top, top + size), slice(left, left + size))
+            light = example.reference[window].mean(axis=-1)
+            if light.std() > _FLAT * light.mean() and light.mean() > 0:
+                break
+        return self._augment(example, window, rng)
+
+    def _augment(
+        self, example: Example, window: tuple[slice, slice], rng: np.random.Generator
+    ) -> dict[str, np.ndarray]:
+        spec, recipe = self._spec, self._spec.training
+        turn = _random_turn(rng)
+        order = rng.permutation(3)
+        gain = np.exp(rng.normal(size=3) * 0.15).astype(np.float32)
+        mean = turn(example.mean[window]).copy()
+        mean[..., :3] = mean[..., order] * gain
+        reference = turn(example.reference[window])[..., order] * gain
+        divisor = turn(example.divisor[window])[..., order]
+        albedo: np.ndarray | None = turn(example.albedo[window])[..., order]
+        normal: np.ndarray | None = turn(example.normal[window]) @ _random_rotation(rng)
+        depth: np.ndarray | None = turn(example.depth[window])
+        if rng.random() < recipe.drop_feature:
+            # no albedo: what is filtered is radiance
+            mean[..., :3] *= divisor
+            divisor, albedo = np.ones_like(divisor), None
+        if rng.random() < recipe.drop_feature:
+            normal = None
+        if rng.random() < recipe.drop_feature:
+            depth = None
+        stops = rng.uniform(-recipe.exposure_stops, recipe.exposure_stops)
+        exposure = float(example.exposure * 2**stops)
+        light = encode.luminance(np.ascontiguousarray(mean[..., :3]))
+        planes = encode.feature_planes(
+            mean,
+            encode.local_luminance(light, exposure, spec.transfer),
+            exposure,
+            spec.temporal,
+            albedo=albedo,
+            normal=normal,
+            depth=depth,
+            depth_unit=example.depth_unit,
+        )
+        empty = np.zeros(light.shape, np.float32)
+        return {
+            "features": np.stack([planes.get(name, empty) for name in spec.network.features]),
+            "irradiance": _chw(mean[..., :3]),
+            "samples": mean[None, ..., 3],
+            "divisor": _chw(divisor),
+            "reference": _chw(reference),
+            "exposure": np.full((1, 1, 1), exposure, np.float32),
+        }
+
+
+def _chw(image: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(image.transpose(2, 0, 1), dtype=np.float32)
+
+
+class _random_turn:  # noqa: N801  a function with its choice drawn beforehand
+    """One of the eight symmetries of the square, the same for all of a patch's buffers."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._quarters = int(rng.integers(4))
+        self._mirror = bool(rng.integers(2))
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        turned = np.rot90(image, self._quarters)
+        return np.ascontiguousarray(turned[:, ::-1] if self._mirror else turned)
+
+
+def _random_rotation(rng: np.random.Generator) -> np.ndarray:
+    """A uniformly random rotation: normals come in any renderer's space."""
+    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+    q *= np.sign(np.diag(r))
+    if np.linalg.det(q) < 0:
+        q[:, 0] = -q[:, 0]
+    return q.astype(np.float32)

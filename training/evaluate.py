@@ -1,0 +1,181 @@
+"""``python -m stillray.training.evaluate VALIDATION``: quality on sequences with references.
+
+Every method sees the same frames in order; the last frame of each sequence counts. Open Image
+Denoise is fed the raw frame, as its users do, and the accumulated one, as ours are.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.progress import track
+
+from stillray.denoiser import Denoiser, History, prepare
+from stillray.errors import InputError
+from stillray.exr import atomic_path, read_channels, read_exr
+from stillray.frame import Frame
+from stillray.registry import find_model, list_models
+from stillray.strips import Strips
+from stillray.training import metrics
+from stillray.training.peers import OIDN_QUALITIES, open_image_denoise
+
+Scores = dict[str, dict[str, dict[str, float]]]  # method -> scene -> metric -> value
+METRICS = ("psnr", "ssim", "smape", "relmse", "flip")
+
+
+def find_scenes(folder: Path) -> list[Path]:
+    """Folders of sequences that have a reference for their last frame."""
+    found = sorted(
+        path
+        for path in folder.iterdir()
+        if path.is_dir() and list(path.glob("frame_*.exr")) and list(path.glob("ref_*.exr"))
+    )
+    if not found:
+        raise InputError(f"folder must hold sequences with references, got {folder}")
+    return found
+
+
+def evaluate_scene(
+    scene: Path, models: list[str], *, peers: bool, pictures: Path | None = None
+) -> Iterator[tuple[str, dict[str, float]]]:
+    """Method name and metrics, one after the other, of a sequence's last referenced frame."""
+    reference_path = sorted(scene.glob("ref_*.exr"))[-1]
+    last = scene / reference_path.name.replace("ref", "frame")
+    frames = [read_exr(path) for path in sorted(scene.glob("frame_*.exr")) if path <= last]
+    channels = read_channels(reference_path)
+    reference = np.stack([channels[name] for name in "RGB"], axis=-1)
+    if pictures:
+        _picture(pictures, scene.name, "reference", reference, reference)
+
+    def scored(name: str, image: np.ndarray) -> tuple[str, dict[str, float]]:
+        if pictures:
+            _picture(pictures, scene.name, name, image, reference)
+        return name, metrics.evaluate(image, reference)
+
+    frame = frames[-1]
+    yield scored("noisy", frame.color)
+    accumulated = accumulate_frames(frames, models[0])
+    yield scored("accumulated", accumulated)
+    for model in models:
+        for temporal in (True, False):
+            with Denoiser(model, temporal=temporal) as denoiser:
+                for each in frames if temporal else frames[-1:]:
+                    image = denoiser.denoise(each)
+            yield scored(model if temporal else f"{model}, one frame", image)
+    if peers:
+        for source, color in (("", frame.color), (", accumulated", accumulated)):
+            for quality in OIDN_QUALITIES:
+                image = open_image_denoise(color, frame.albedo, frame.normal, quality)
+                yield scored(f"OIDN {quality}{source}", image)
+
+
+def accumulate_frames(frames: list[Frame], model: str) -> np.ndarray:
+    """Radiance of the last frame as a model's kernels get it: accumulated, not filtered."""
+    spec = find_model(model).spec
+    history: History | None = None
+    for frame in frames:
+        prepared = prepare(frame, spec, history, Strips(1), {})
+        history = prepared.history
+    assert history is not None
+    mean = history.mean[..., :3]
+    return mean if prepared.divisor is None else mean * prepared.divisor
+
+
+def evaluate_folder(
+    folder: Path,
+    models: list[str],
+    *,
+    peers: bool,
+    pictures: Path | None = None,
+    progress: Callable[..., list[Path]] | None = None,
+) -> Scores:
+    """Scores of every method on every scene of a folder."""
+    scores: Scores = {}
+    scenes = find_scenes(folder)
+    for scene in progress(scenes) if progress else scenes:
+        for method, values in evaluate_scene(scene, models, peers=peers, pictures=pictures):
+            scores.setdefault(method, {})[scene.name] = values
+    return scores
+
+
+def mean_scores(scores: Scores) -> dict[str, dict[str, float]]:
+    """Mean over scenes, a row a method."""
+    return {
+        method: {
+            name: float(np.mean([values[name] for values in scenes.values()])) for name in METRICS
+        }
+        for method, scenes in scores.items()
+    }
+
+
+def markdown(scores: Scores) -> str:
+    """A table of the means, then one a scene."""
+    scenes = sorted(next(iter(scores.values())))
+    parts = [_table("mean", mean_scores(scores))]
+    for scene in scenes:
+        parts.append(_table(scene, {method: rows[scene] for method, rows in scores.items()}))
+    return "\n".join(parts)
+
+
+def _table(title: str, rows: dict[str, dict[str, float]]) -> str:
+    lines = [
+        f"| {title} | PSNR dB ↑ | SSIM ↑ | SMAPE ↓ | relative MSE ↓ | FLIP ↓ |",
+        "|---|---|---|---|---|---|",
+    ]
+    for method, row in rows.items():
+        lines.append(
+            f"| {method} | {row['psnr']:.2f} | {row['ssim']:.3f} | {row['smape']:.4f} "
+            f"| {row['relmse']:.3g} | {row['flip']:.3f} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _picture(
+    folder: Path, scene: str, method: str, image: np.ndarray, reference: np.ndarray
+) -> None:
+    import cv2
+
+    folder.mkdir(parents=True, exist_ok=True)
+    shown = metrics.tone_map(image, metrics.display_exposure(reference))
+    name = f"{scene}-{method.replace(', ', '-').replace(' ', '-')}.png"
+    cv2.imwrite(str(folder / name), np.rint(shown[..., ::-1] * 255).astype(np.uint8))
+
+
+def main(
+    folder: Annotated[Path, typer.Argument(help="Folder of sequences with references.")],
+    model: Annotated[list[str] | None, typer.Option(help="Model or .onnx; default: all.")] = None,
+    peers: Annotated[bool, typer.Option(help="Run Open Image Denoise beside.")] = True,
+    out: Annotated[Path | None, typer.Option(help="Write scores as JSON.")] = None,
+    pictures: Annotated[Path | None, typer.Option(help="Folder for tone-mapped PNGs.")] = None,
+) -> None:
+    """Print metrics per scene and their means."""
+    models = model or [info.name for info in list_models()]
+    for name in models:
+        find_model(name)
+    scores = evaluate_folder(
+        folder,
+        models,
+        peers=peers,
+        pictures=pictures,
+        progress=lambda scenes: track(scenes, description="scenes"),  # type: ignore[arg-type]
+    )
+    print(markdown(scores))
+    if out:
+        with atomic_path(out) as temporary:
+            temporary.write_text(json.dumps(scores, indent=1))
+
+
+if __name__ == "__main__":
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command()(main)
+    try:
+        app()
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)

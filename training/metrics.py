@@ -1,0 +1,59 @@
+"""Image metrics: exposure and tone mapping as the validation set states them, then the usual ones.
+
+PSNR, SSIM and FLIP see tone-mapped images; SMAPE and relative MSE see exposed radiance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+MAX_EXPOSURE = 8.0
+SMAPE_EPSILON = 0.01  # exposed radiance (Fan et al. 2021, eq. 6)
+RELATIVE_MSE_EPSILON = 0.01  # exposed radiance, squared units
+
+
+def display_exposure(reference: np.ndarray) -> float:
+    """``min(8, 0.2 / median of the reference's mean radiance)``."""
+    median = float(np.median(reference.mean(axis=-1)))
+    return min(MAX_EXPOSURE, 0.2 / median) if median > 0 else MAX_EXPOSURE
+
+
+def tone_map(radiance: np.ndarray, exposure: float) -> np.ndarray:
+    """Expose, clip to [0, 1], power 1 / 2.2."""
+    return np.clip(radiance * exposure, 0, 1) ** (1 / 2.2)
+
+
+def evaluate(image: np.ndarray, reference: np.ndarray) -> dict[str, float]:
+    """All metrics of an image against its reference.
+
+    Parameters
+    ----------
+    image, reference : (h, w, 3) float32
+        Scene-linear radiance.
+
+    Returns
+    -------
+    dict
+        ``psnr`` in dB and ``ssim`` (higher is better), ``smape``, ``relmse`` and ``flip``
+        (lower is better).
+    """
+    import flip_evaluator
+    from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+
+    exposure = display_exposure(reference)
+    shown, wanted = tone_map(image, exposure), tone_map(reference, exposure)
+    a, b = image.astype(np.float64) * exposure, reference.astype(np.float64) * exposure
+    _, flip, _ = flip_evaluator.evaluate(
+        wanted.astype(np.float32),
+        shown.astype(np.float32),
+        "LDR",
+        inputsRGB=True,
+        applyMagma=False,
+    )
+    return {
+        "psnr": float(peak_signal_noise_ratio(wanted, shown, data_range=1.0)),
+        "ssim": float(structural_similarity(wanted, shown, channel_axis=-1, data_range=1.0)),
+        "smape": float(np.mean(np.abs(a - b) / (np.abs(a) + np.abs(b) + SMAPE_EPSILON))),
+        "relmse": float(np.mean((a - b) ** 2 / (b**2 + RELATIVE_MSE_EPSILON))),
+        "flip": float(flip),
+    }

@@ -1,0 +1,47 @@
+"""ImportanceNet: features in, importance and fusion logits out (Fan et al. 2021, figure 2)."""
+
+from __future__ import annotations
+
+from torch import Tensor, nn
+
+from stillray.models_spec import ModelSpec
+from stillray.training.networks.repvgg import RepVGGBlock
+
+
+class ImportanceNet(nn.Module):
+    """A chain of RepVGG blocks; the last has no ReLU, since logits may be negative.
+
+    Parameters
+    ----------
+    spec
+        Its ``network`` gives features and widths; its ``decoder`` the number of kernels m.
+    """
+
+    def __init__(self, spec: ModelSpec) -> None:
+        super().__init__()
+        network = spec.network
+        outputs = 2 * len(spec.decoder.kernel_sizes)
+        widths = (len(network.features), *network.widths, outputs)
+        last = len(widths) - 2
+        self.blocks = nn.ModuleList(
+            RepVGGBlock(
+                widths[index],
+                widths[index + 1],
+                network.branches,
+                identity=network.identity,
+                activation=index != last,
+            )
+            for index in range(len(widths) - 1)
+        )
+
+    def forward(self, features_nchw: Tensor) -> Tensor:
+        """``(n, features, h, w)`` to ``(n, 2 m, h, w)``: m importance maps, then m fusion maps."""
+        for block in self.blocks:
+            features_nchw = block(features_nchw)
+        return features_nchw
+
+    def forward_branches(self, features_nchw: Tensor) -> Tensor:
+        """The same, with every branch computed on its own."""
+        for block in self.blocks:
+            features_nchw = block.forward_branches(features_nchw)
+        return features_nchw

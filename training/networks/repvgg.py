@@ -1,0 +1,74 @@
+"""The RepVGG block without batch normalisation (Fan et al. 2021, supplement, section 1.1)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+
+class RepVGGBlock(nn.Module):
+    """Convolutions of several sizes, and an identity where widths agree, added before a ReLU.
+
+    Without batch normalisation the block is linear up to its ReLU, so the branches' kernels can
+    be added before they meet the image: `forward` does that, one convolution instead of three,
+    with the same values and the same gradients as `forward_branches`, which is kept as the
+    definition that tests and the export compare with.
+
+    Parameters
+    ----------
+    width_in, width_out
+        Channels.
+    branches
+        Kernel sizes in pixels, odd.
+    identity
+        Add the identity branch where ``width_in == width_out``.
+    activation
+        Whether a ReLU follows.
+    """
+
+    def __init__(
+        self,
+        width_in: int,
+        width_out: int,
+        branches: tuple[int, ...],
+        *,
+        identity: bool,
+        activation: bool,
+    ) -> None:
+        super().__init__()
+        self.convolutions = nn.ModuleList(
+            nn.Conv2d(width_in, width_out, size, padding=size // 2) for size in branches
+        )
+        self.kernel_size = max(branches)
+        self.identity = identity and width_in == width_out
+        self.activation = activation
+
+    def fused(self) -> tuple[Tensor, Tensor]:
+        """Weight and bias of the one convolution that equals all branches together."""
+        weight: Tensor | None = None
+        bias: Tensor | None = None
+        for convolution in self.convolutions:
+            margin = (self.kernel_size - convolution.kernel_size[0]) // 2
+            padded = F.pad(convolution.weight, [margin] * 4)
+            weight = padded if weight is None else weight + padded
+            bias = convolution.bias if bias is None else bias + convolution.bias
+        assert weight is not None
+        assert bias is not None
+        if self.identity:
+            one = torch.eye(weight.shape[0], dtype=weight.dtype, device=weight.device)
+            weight = weight + F.pad(one[:, :, None, None], [self.kernel_size // 2] * 4)
+        return weight, bias
+
+    def forward(self, planes_nchw: Tensor) -> Tensor:
+        """``(n, width_in, h, w)`` to ``(n, width_out, h, w)``, borders padded with zeros."""
+        weight, bias = self.fused()
+        result = F.conv2d(planes_nchw, weight, bias, padding=self.kernel_size // 2)
+        return F.relu(result) if self.activation else result
+
+    def forward_branches(self, planes_nchw: Tensor) -> Tensor:
+        """The same, branch by branch as the paper draws it."""
+        result = torch.stack([branch(planes_nchw) for branch in self.convolutions]).sum(0)
+        if self.identity:
+            result = result + planes_nchw
+        return F.relu(result) if self.activation else result
