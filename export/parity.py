@@ -96,13 +96,9 @@ def decoded(
 ) -> dict[str, np.ndarray]:
     """The same logits through each decoder; ``oracle`` is the PyTorch one in float64."""
     take = [torch.from_numpy(part) for part in (irradiance, samples, logits)]
-    height = irradiance.shape[2]
+    mean = np.concatenate([irradiance, samples], axis=1)[0].transpose(1, 2, 0)
     runtime = kernels.filter_rows(
-        np.ascontiguousarray(irradiance[0].transpose(1, 2, 0)),
-        samples[0, 0],
-        logits[0],
-        slice(0, height),
-        spec.decoder,
+        np.ascontiguousarray(mean), logits[0], slice(0, mean.shape[0]), spec.decoder
     )
     return {
         "oracle": fused_kernels(*(part.double() for part in take), spec.decoder).numpy(),

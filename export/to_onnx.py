@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import sys
+import tempfile
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,7 +27,9 @@ from stillray.models_spec import ModelSpec, from_json
 from stillray.models_spec.loader import Decoder
 from stillray.registry import PROVENANCE_KEY, SPEC_KEY, WHOLE_SUFFIX
 from stillray.training.decoders import fused_kernels, pooled_box_mean
+from stillray.training.evaluate import evaluate_folder, mean_scores
 from stillray.training.networks.importance import ImportanceNet
+from stillray.training.provenance import collect
 from stillray.training.train import CHECKPOINT, load_network
 
 OPSET = 18
@@ -130,6 +133,9 @@ def to_model(
 def main(
     run: Annotated[Path, typer.Argument(help="Folder of a training run.")],
     out: Annotated[Path, typer.Option(help="Folder for the .onnx files.")] = Path("runtime/models"),
+    validation: Annotated[
+        Path | None, typer.Option(help="Sequences with references: scores go into the files.")
+    ] = None,
 ) -> None:
     """Export a trained run."""
     from safetensors import safe_open
@@ -140,8 +146,15 @@ def main(
     with safe_open(checkpoint, framework="pt") as file:
         spec = from_json(file.metadata()["spec"])
     network, step = load_network(spec, checkpoint)
-    provenance = {"steps": step, **json.loads((run / "provenance.json").read_text())}
-    print(export(network, spec, provenance, out))
+    about = {**collect(run, spec, step), "scores": {}}
+    if validation is not None:
+        with tempfile.TemporaryDirectory() as folder:
+            unscored = str(export(network, spec, about, Path(folder)))
+            scores = evaluate_folder(validation, [unscored], peers=False)
+        about["scores"] = {
+            name: round(value, 4) for name, value in mean_scores(scores)[unscored].items()
+        }
+    print(export(network, spec, about, out))
 
 
 if __name__ == "__main__":

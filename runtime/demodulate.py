@@ -7,6 +7,8 @@ import numpy as np
 
 from stillray.models_spec.loader import Demodulate
 
+_BELOW_ZERO = (-1.0, -1.0, -1.0)
+
 
 def divisor(albedo: np.ndarray, options: Demodulate) -> np.ndarray:
     """What radiance is divided by, and multiplied by again at the end.
@@ -29,8 +31,7 @@ def divisor(albedo: np.ndarray, options: Demodulate) -> np.ndarray:
         In [floor, 1]. ``radiance / divisor * divisor`` gives the radiance back to rounding.
     """
     raised = np.maximum(albedo, np.float32(options.floor))
-    red, green, blue = cv2.split(albedo)
-    black = cv2.max(cv2.max(red, green), blue) < options.black
-    if black.any():
-        raised[black] = 1
+    black = cv2.inRange(albedo, _BELOW_ZERO, (options.black,) * 3)
+    if cv2.countNonZero(black):
+        raised[black > 0] = 1
     return raised

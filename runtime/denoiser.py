@@ -14,17 +14,17 @@ import numpy as np
 
 from stillray import accumulate as acc
 from stillray import encode, kernels, stages
+from stillray import reproject as rep
 from stillray.demodulate import divisor
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.models_spec.loader import ModelSpec
 from stillray.registry import ModelInfo, find_model, open_session
 from stillray.repair import repair_feature, repair_radiance
-from stillray.reproject import Guides, reproject
 from stillray.strips import Strips, available_threads
 
+MAX_MOTION = 1e6  # pixels; outside of every frame
 MAX_DEPTH = 1e30  # any unit; keeps products of depth in float32
-MAX_MOTION = 1e6  # pixels; far outside every frame, and exact in float32
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,7 +42,7 @@ class History:
     """
 
     mean: np.ndarray
-    guides: Guides
+    guides: rep.Guides
     exposure: float
 
 
@@ -58,8 +58,8 @@ class Prepared:
         What radiance was divided by; None where there is no albedo.
     local : (h, w) float32
         Tone-mapped local luminance of the accumulated irradiance.
-    albedo : (h, w, 3) float32 or None
-        Repaired.
+    albedo, normal, depth
+        The frame's, repaired.
     depth_unit
         Scale of the depth feature.
     """
@@ -68,6 +68,8 @@ class Prepared:
     divisor: np.ndarray | None
     local: np.ndarray
     albedo: np.ndarray | None
+    normal: np.ndarray | None
+    depth: np.ndarray | None
     depth_unit: float
 
 
@@ -120,6 +122,8 @@ class Denoiser:
             self.model.path, threads=threads, providers=tuple(providers) if providers else None
         )
         self._strips = Strips(threads)
+        # kept between frames: fresh memory costs as much as the work that fills it
+        self._features_nchw: np.ndarray | None = None
 
     def __enter__(self) -> Denoiser:
         return self
@@ -162,7 +166,12 @@ class Denoiser:
         self.last_timings = {}
         spec = self.model.spec
         prepared = prepare(
-            frame, spec, self.history if self.temporal else None, self._strips, self.last_timings
+            frame,
+            spec,
+            self.history if self.temporal else None,
+            self._strips,
+            self.last_timings,
+            temporal=self.temporal,
         )
         features = self._encode(frame, spec, prepared)
         with timed(self.last_timings, "network"):
@@ -173,23 +182,25 @@ class Denoiser:
 
     def _encode(self, frame: Frame, spec: ModelSpec, prepared: Prepared) -> np.ndarray:
         height, width = frame.shape
-        features_nchw = np.zeros((1, len(spec.network.features), height, width), np.float32)
-        guides, mean = prepared.history.guides, prepared.history.mean
+        shape = (1, len(spec.network.features), height, width)
+        if self._features_nchw is None or self._features_nchw.shape != shape:
+            self._features_nchw = np.zeros(shape, np.float32)
+        features_nchw = self._features_nchw
+        mean, normal, depth = prepared.history.mean, prepared.normal, prepared.depth
 
         def pack(rows: slice) -> None:
-            planes = encode.feature_planes(
+            encode.feature_planes(
                 mean[rows],
                 prepared.local[rows],
                 prepared.history.exposure,
                 spec.temporal,
+                spec.network.features,
                 albedo=None if prepared.albedo is None else prepared.albedo[rows],
-                normal=None if guides.normal is None else guides.normal[rows],
-                depth=None if guides.depth is None else guides.depth[rows],
+                normal=None if normal is None else normal[rows],
+                depth=None if depth is None else depth[rows],
                 depth_unit=prepared.depth_unit,
+                out=features_nchw[0, :, rows],
             )
-            for index, name in enumerate(spec.network.features):
-                if name in planes:
-                    features_nchw[0, index, rows] = planes[name]
 
         with timed(self.last_timings, "encode"):
             self._strips.run(pack, height, width)
@@ -205,11 +216,7 @@ class Denoiser:
             top, bottom = max(rows.start - halo, 0), min(rows.stop + halo, height)
             inner = slice(rows.start - top, rows.stop - top)
             image[rows] = kernels.filter_rows(
-                mean[top:bottom, :, :3],
-                mean[top:bottom, :, 3],
-                logits[:, top:bottom],
-                inner,
-                spec.decoder,
+                mean[top:bottom], logits[:, top:bottom], inner, spec.decoder
             )
 
         with timed(self.last_timings, "reconstruct"):
@@ -263,6 +270,8 @@ def prepare(
     history: History | None,
     strips: Strips,
     timings: dict[str, float],
+    *,
+    temporal: bool = True,
 ) -> Prepared:
     """Repair, demodulate, expose, reproject and accumulate: all that comes before the features.
 
@@ -278,6 +287,8 @@ def prepare(
         Where the work runs.
     timings
         Stage name to milliseconds, filled in.
+    temporal
+        Whether a next frame will want this one's geometry.
     """
     height, width = frame.shape
     with timed(timings, "repair"):
@@ -285,7 +296,7 @@ def prepare(
         albedo = None if frame.albedo is None else repair_feature(frame.albedo, 0, 1)
         normal = None if frame.normal is None else repair_feature(frame.normal, -1, 1)
         depth = None if frame.depth is None else repair_feature(frame.depth, 0, MAX_DEPTH)
-    guides = Guides(normal=normal, depth=depth)
+        motion = None if frame.motion is None else _far_if_broken(frame.motion)
 
     irradiance, light = color, np.empty((height, width), np.float32)
     divide_by = None if albedo is None else np.empty_like(color)
@@ -307,12 +318,22 @@ def prepare(
         exposure = encode.steady_exposure(
             encode.frame_exposure(light, spec.transfer), before, spec.transfer
         )
-        local = encode.local_luminance(light, exposure, spec.transfer)
+        toned = np.empty_like(light)
 
+        def tone(rows: slice) -> None:
+            toned[rows] = encode.tone_map(light[rows], exposure)
+
+        strips.run(tone, height, width)
+        local = encode.local_luminance(toned, spec.transfer)
+
+    guides = rep.Guides(packed=None)
     past: np.ndarray | None = None
-    if history is not None and frame.motion is not None:
+    if temporal and not (normal is None and depth is None):
+        with timed(timings, "guides"):
+            guides = _pack(normal, depth, frame.shape, strips)
+    if history is not None and motion is not None:
         with timed(timings, "warp"):
-            past = _warp(frame.motion, history, guides, spec, strips)
+            past = _warp(motion, history, guides, spec, strips)
     mean = np.empty((height, width, 4), np.float32)
 
     def accumulate(rows: slice) -> None:
@@ -323,35 +344,66 @@ def prepare(
             irradiance[rows], weight, None if past is None else past[rows], spec.temporal
         )
         if past is not None:
-            light[rows] = encode.luminance(mean[rows, :, :3])
+            toned[rows] = encode.tone_map(encode.luminance(mean[rows]), exposure)
 
     with timed(timings, "accumulate"):
         strips.run(accumulate, height, width)
         if past is not None:
-            local = encode.local_luminance(light, exposure, spec.transfer)
+            local = encode.local_luminance(toned, spec.transfer)
         depth_unit = 1.0 if depth is None else encode.depth_scale(depth)
     return Prepared(
         history=History(mean=mean, guides=guides, exposure=exposure),
         divisor=divide_by,
         local=local,
         albedo=albedo,
+        normal=normal,
+        depth=depth,
         depth_unit=depth_unit,
     )
 
 
+def _pack(
+    normal: np.ndarray | None, depth: np.ndarray | None, shape: tuple[int, int], strips: Strips
+) -> rep.Guides:
+    packed = np.empty((*shape, 4), np.float32)
+
+    def work(rows: slice) -> None:
+        packed[rows] = rep.pack(
+            None if normal is None else normal[rows], None if depth is None else depth[rows]
+        )
+
+    strips.run(work, *shape)
+    return rep.Guides(packed=packed)
+
+
+def _far_if_broken(motion: np.ndarray) -> np.ndarray:
+    # a point that came from nowhere is one that came from far outside
+    with np.errstate(invalid="ignore"):  # Inf - Inf
+        total = motion.sum()
+    if np.isfinite(total):
+        return motion
+    return np.where(np.isfinite(motion), motion, np.float32(MAX_MOTION))
+
+
 def _warp(
-    motion: np.ndarray, history: History, guides: Guides, spec: ModelSpec, strips: Strips
+    motion: np.ndarray, history: History, guides: rep.Guides, spec: ModelSpec, strips: Strips
 ) -> np.ndarray:
     height, width = motion.shape[:2]
     past = np.empty((height, width, 4), np.float32)
     moving = bool(motion.any())
+    packed = history.guides.packed
+    rough: np.ndarray | None = None
+    if moving and packed is not None:
+        marked = rough = np.ones((height + 1, width + 1), np.uint8)
+        strips.run(lambda rows: rep.rough_blocks(packed, rows, marked), height, width)
 
     def work(rows: slice) -> None:
-        past[rows] = reproject(
+        past[rows] = rep.reproject(
             history.mean,
             history.guides,
+            rough,
             guides.rows(rows),
-            np.clip(motion[rows], -MAX_MOTION, MAX_MOTION) if moving else None,
+            motion[rows] if moving else None,
             rows,
             spec.temporal,
         )

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
 from stillray.models_spec.loader import Temporal, Transfer
+from stillray.strips import planes_of
 
-_REC709 = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
+_REC709 = np.array([[0.2126, 0.7152, 0.0722, 0]], np.float32)
+_ALBEDO = ("albedo.r", "albedo.g", "albedo.b")
+_NORMAL = ("normal.x", "normal.y", "normal.z")
 _BLOCK = 8  # pixels: blocks whose means give the frame's typical irradiance
 
 
 def luminance(irradiance: np.ndarray) -> np.ndarray:
-    """Rec. 709 luminance of an ``(h, w, 3)`` image."""
-    return cv2.transform(irradiance, _REC709)
+    """Rec. 709 luminance of an ``(h, w, 3)`` image, or of ``(h, w, 4)`` irradiance and samples."""
+    return cv2.transform(irradiance, _REC709[:, : irradiance.shape[2]])
 
 
 def frame_exposure(light: np.ndarray, options: Transfer) -> float:
@@ -55,22 +59,30 @@ def steady_exposure(now: float, before: float | None, options: Transfer) -> floa
 def tone_map(radiance: np.ndarray, exposure: float) -> np.ndarray:
     """``x e / (1 + x e)``, in [0, 1]."""
     # written as 1 - 1 / (1 + x e): an overflow of x e gives 1, not Inf / Inf
-    return 1 - 1 / (1 + radiance * np.float32(exposure))
+    with np.errstate(over="ignore"):
+        mapped = radiance * np.float32(exposure)
+    mapped += 1
+    np.reciprocal(mapped, out=mapped)
+    return np.subtract(1, mapped, out=mapped)
 
 
-def local_luminance(light: np.ndarray, exposure: float, options: Transfer) -> np.ndarray:
+def local_luminance(toned: np.ndarray, options: Transfer) -> np.ndarray:
     """Mean of the tone-mapped luminance over ``local_size``: what is usual around a pixel.
 
     Tone mapping first bounds what one firefly adds to it.
 
+    Parameters
+    ----------
+    toned : (h, w) float32
+        `tone_map` of the irradiance's luminance, in [0, 1].
+
     Returns
     -------
     (h, w) float32
-        In [0, 0.9999].
+        In [0, 1], up to rounding.
     """
     window = (options.local_size, options.local_size)
-    mean = cv2.blur(tone_map(light, exposure), window, borderType=cv2.BORDER_REPLICATE)
-    return np.clip(mean, 0, np.float32(0.9999))
+    return cv2.blur(toned, window, borderType=cv2.BORDER_REPLICATE)
 
 
 def depth_scale(depth: np.ndarray) -> float:
@@ -84,13 +96,15 @@ def feature_planes(
     local: np.ndarray,
     exposure: float,
     temporal: Temporal,
+    features: Sequence[str],
     *,
     albedo: np.ndarray | None,
     normal: np.ndarray | None,
     depth: np.ndarray | None,
     depth_unit: float,
-) -> dict[str, np.ndarray]:
-    """Every feature that a network may ask for, by name.
+    out: np.ndarray,
+) -> None:
+    """Fill the planes that a network asks for.
 
     Parameters
     ----------
@@ -100,29 +114,35 @@ def feature_planes(
         Local luminance of the accumulated irradiance, tone-mapped.
     exposure
         1 / irradiance.
+    temporal
+        Its ``max_samples`` scales the samples' plane.
+    features
+        Names of the planes, of `stillray.models_spec.loader.FEATURES`.
     albedo, normal, depth
-        Features of the frame; planes of one that is missing are absent, and read as 0.
+        Features of the frame; planes of one that is missing are filled with 0.
     depth_unit
         See `depth_scale`.
-
-    Returns
-    -------
-    dict
-        Name to ``(h, w)`` float32, in [0, 1] ([-1, 1] for normals).
+    out : (len(features), h, w) float32
+        Written: values in [0, 1] ([-1, 1] for normals).
     """
-    planes = {}
-    # the square root opens the dark end of [0, 1], as a display gamma does
-    toned = np.sqrt(tone_map(mean[..., :3], exposure))
-    planes.update(
-        zip(("irradiance.r", "irradiance.g", "irradiance.b"), cv2.split(toned), strict=True)
-    )
-    planes["local_luminance"] = np.sqrt(local)
-    samples = mean[..., 3]
-    planes["samples"] = np.sqrt(samples / (samples + np.float32(temporal.max_samples / 4)))
-    if albedo is not None:
-        planes.update(zip(("albedo.r", "albedo.g", "albedo.b"), cv2.split(albedo), strict=True))
-    if normal is not None:
-        planes.update(zip(("normal.x", "normal.y", "normal.z"), cv2.split(normal), strict=True))
-    if depth is not None:
-        planes["depth"] = depth / (depth + np.float32(depth_unit))
-    return planes
+    plane = dict(zip(features, out, strict=True))
+    *irradiance, samples = planes_of(mean)
+    for name, light in zip("rgb", irradiance, strict=True):
+        if (target := plane.get(f"irradiance.{name}")) is not None:
+            # the square root opens the dark end of [0, 1], as a display gamma does
+            np.sqrt(tone_map(light, exposure), out=target)
+    if (target := plane.get("local_luminance")) is not None:
+        # running sums of values up to 1 leave residues of 1e-16, of either sign
+        np.sqrt(np.maximum(local, 0), out=target)
+    if (target := plane.get("samples")) is not None:
+        np.divide(samples, samples + np.float32(temporal.max_samples / 4), out=target)
+        np.sqrt(target, out=target)
+    for image, names in ((albedo, _ALBEDO), (normal, _NORMAL)):
+        for channel, name in enumerate(names):
+            if (target := plane.get(name)) is not None:
+                target[...] = 0 if image is None else image[..., channel]
+    if (target := plane.get("depth")) is not None:
+        if depth is None:
+            target[...] = 0
+        else:
+            np.divide(depth, depth + np.float32(depth_unit), out=target)

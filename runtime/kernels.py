@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from stillray.models_spec.loader import Decoder
+from stillray.strips import planes_of
 
 
 def reach(options: Decoder) -> int:
@@ -17,21 +18,14 @@ def reach(options: Decoder) -> int:
     return max(options.kernel_sizes) // 2
 
 
-def filter_rows(
-    irradiance: np.ndarray,
-    samples: np.ndarray,
-    logits: np.ndarray,
-    inner: slice,
-    options: Decoder,
-) -> np.ndarray:
+def filter_rows(mean: np.ndarray, logits: np.ndarray, inner: slice, options: Decoder) -> np.ndarray:
     """Filter an image, or a strip of one with its neighbouring rows.
 
     Parameters
     ----------
-    irradiance : (h, w, 3) float32
-        What is filtered, >= 0 and finite.
-    samples : (h, w) float32
-        Samples that each pixel holds, > 0: multiplies its importance when the spec says so.
+    mean : (h, w, 4) float32
+        Irradiance, which is filtered, >= 0 and finite; and the samples that each pixel holds,
+        > 0, which multiply its importance when the spec says so.
     logits : (2 m, h, w) float32
         m importance maps and m fusion maps, as the network gives them; any values.
     inner
@@ -44,12 +38,12 @@ def filter_rows(
         end at the border of the image, as if zero importance lay outside.
     """
     count = len(options.kernel_sizes)
-    planes = cv2.split(irradiance)
+    *planes, samples = planes_of(mean)
     height, width = samples[inner].shape
     total = np.zeros((3, height, width), np.float32)
     alpha_sum = np.zeros((height, width), np.float32)
+    scratch = np.empty_like(samples)
     for index, size in enumerate(options.kernel_sizes):
-        # clipped logits need no maximum subtracted: exp stays within e^-bound .. e^bound
         importance = _bounded_exp(logits[index], options.logit_bound)
         if options.weigh_samples:
             importance *= samples
@@ -57,12 +51,14 @@ def filter_rows(
         # anew: boxFilter's running sums keep a residue of every firefly that has passed, which
         # drowns darker windows (and it is no faster here).
         kernel = np.full(size, 1 / size, np.float32)
-        weight_sum = _box(importance, kernel)[inner]
-        alpha = _bounded_exp(logits[count + index, inner], options.logit_bound)
-        share = alpha / weight_sum
-        alpha_sum += alpha
-        for channel, plane in enumerate(planes):
-            total[channel] += _box(importance * plane, kernel)[inner] * share
+        share = _bounded_exp(logits[count + index, inner], options.logit_bound)
+        alpha_sum += share
+        share /= _box(importance, kernel)[inner]
+        for plane, sums in zip(planes, total, strict=True):
+            np.multiply(importance, plane, out=scratch)
+            cv2.accumulateProduct(_box(scratch, kernel)[inner], share, sums)
+    if np.isnan(alpha_sum.sum()) or np.isnan(total.sum()):  # a NaN logit says nothing: 0
+        return filter_rows(mean, np.nan_to_num(logits, nan=0.0), inner, options)
     total /= alpha_sum
     return cv2.merge(list(total))
 
@@ -72,6 +68,6 @@ def _box(plane: np.ndarray, kernel: np.ndarray) -> np.ndarray:
 
 
 def _bounded_exp(logits: np.ndarray, bound: float) -> np.ndarray:
-    # fmax and fmin, not clip: they take the bound where a logit is NaN
-    bounded = np.fmin(np.fmax(logits, np.float32(-bound)), np.float32(bound))
-    return np.exp(bounded, out=bounded)
+    # bounded logits need no maximum subtracted: exp stays within e^-bound .. e^bound
+    bounded = np.clip(logits, np.float32(-bound), np.float32(bound))
+    return cv2.exp(bounded, dst=bounded)

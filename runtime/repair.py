@@ -7,6 +7,7 @@ import numpy as np
 
 # Radiance above this is clamped: sums of a 13x13 window stay finite in float32.
 MAX_RADIANCE = 1e30
+_PIECE = 1 << 18  # values that stay in the cache between two passes
 
 
 def repair_radiance(color: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
@@ -26,8 +27,8 @@ def repair_radiance(color: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         A negative channel counts as 0: renderers write it through filter lobes and it still is
         a sample.
     """
-    finite, low, high = _range(color)
-    if finite and low >= 0 and high <= MAX_RADIANCE:
+    low, high = _range(color)
+    if low >= 0 and high <= MAX_RADIANCE:
         return color, None
     valid = np.isfinite(color).all(axis=-1)
     cleaned = np.clip(np.where(valid[..., None], color, 0), 0, MAX_RADIANCE).astype(np.float32)
@@ -46,19 +47,19 @@ def repair_feature(feature: np.ndarray, low: float, high: float) -> np.ndarray:
     low, high
         The feature's range.
     """
-    finite, least, most = _range(feature)
-    if finite and least >= low and most <= high:
+    least, most = _range(feature)
+    if least >= low and most <= high:
         return feature
     safe: np.ndarray = np.where(np.isfinite(feature), feature, np.float32(0))
     return np.clip(safe, low, high)
 
 
-def _range(array: np.ndarray) -> tuple[bool, float, float]:
-    # minMaxLoc skips NaN silently; a sum does not, and overflow to Inf is an answer too
-    plane = array.reshape(array.shape[0], -1)
-    low, high, _, _ = cv2.minMaxLoc(plane)
-    finite, _ = cv2.checkRange(plane, quiet=True)
-    return bool(finite), low, high
+def _range(array: np.ndarray) -> tuple[float, float]:
+    # a NaN makes both NaN, and every comparison with them false; pieces are read once for both
+    flat = array.reshape(-1)
+    pieces = [flat[start : start + _PIECE] for start in range(0, flat.size, _PIECE)]
+    ranges = np.array([(piece.min(), piece.max()) for piece in pieces])
+    return float(ranges[:, 0].min()), float(ranges[:, 1].max())
 
 
 def _fill(color: np.ndarray, valid: np.ndarray) -> np.ndarray:

@@ -8,35 +8,99 @@ import cv2
 import numpy as np
 
 from stillray.models_spec.loader import Temporal
+from stillray.strips import planes_of
 
-_IRRELEVANT = np.float32(1e-20)  # depth unit: keeps 0/0 out of the ratio at background pixels
+# A 2x2 block of the previous frame is one smooth surface when its normals' components and its
+# depth's logarithm span no more than this: then its four taps are accepted or refused together.
+SMOOTH_NORMAL = 0.2
+SMOOTH_DEPTH = 0.1
+_NEAREST = np.float32(1e-30)  # unit of depth: keeps the logarithm finite
+_EMPTY_DEPTH = np.float32(-100)  # "logarithm of the depth" of background: far from all surfaces
+_OUTSIDE = np.float32(-8)  # pixels: a position whose four taps all lie outside
+_NORMAL_SUM = np.float32([[1, 1, 1, 0]])
+_NO_NORMAL = 0.25  # a normal with no component beyond this points nowhere
+_LIST_WIDTH = 256  # pixels of a row when a list of pixels is laid out as an image
+_TINY = np.float32(1e-12)  # share of a tap: keeps 0/0 out of pixels without a tap
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Guides:
     """Geometry that decides whether two pixels show the same surface.
 
-    Parameters
+    Attributes
     ----------
-    normal : (h, w, 3) float32 or None
-    depth : (h, w) float32 or None
-        0 where nothing was hit.
+    packed : (h, w, 4) float32 or None
+        Normal and the logarithm of depth, as `pack` makes them; None where a frame has neither.
     """
 
-    normal: np.ndarray | None
-    depth: np.ndarray | None
+    packed: np.ndarray | None
 
     def rows(self, rows: slice) -> Guides:
         """A view of some rows."""
-        return Guides(
-            normal=None if self.normal is None else self.normal[rows],
-            depth=None if self.depth is None else self.depth[rows],
-        )
+        return Guides(packed=None if self.packed is None else self.packed[rows])
+
+
+def pack(normal: np.ndarray | None, depth: np.ndarray | None) -> np.ndarray:
+    """Guides of a frame's rows; a feature that is missing agrees with everything.
+
+    Parameters
+    ----------
+    normal : (h, w, 3) float32 or None
+        0 where nothing was hit.
+    depth : (h, w) float32 or None
+        0 where nothing was hit. One of both must be given.
+
+    Returns
+    -------
+    (h, w, 4) float32
+    """
+    if depth is not None:
+        logarithm = cv2.log(np.maximum(depth, _NEAREST))
+        np.copyto(logarithm, _EMPTY_DEPTH, where=depth <= 0)
+    elif normal is not None:
+        logarithm = np.zeros(normal.shape[:2], np.float32)
+    else:
+        raise ValueError("one of normal and depth must be given")
+    if normal is None:
+        one, zero = np.ones_like(logarithm), np.zeros_like(logarithm)
+        return cv2.merge([one, zero, zero, logarithm])
+    packed = cv2.merge([normal, logarithm])
+    # what has no normal gets one, so that it agrees with its like; its depth tells it apart
+    none = cv2.inRange(normal, (-_NO_NORMAL,) * 3, (_NO_NORMAL,) * 3)
+    if cv2.countNonZero(none):
+        packed[none > 0, :3] = (1, 0, 0)
+        if depth is None:
+            packed[none > 0, 3] = _EMPTY_DEPTH
+    return packed
+
+
+def rough_blocks(packed: np.ndarray, rows: slice, out: np.ndarray) -> None:
+    """Mark where the 2x2 block that begins at a pixel holds more than one smooth surface.
+
+    Parameters
+    ----------
+    packed : (h, w, 4) float32
+        Guides of the whole previous frame.
+    rows
+        The rows of the frame to mark.
+    out : (h + 1, w + 1) uint8
+        Element (y, x) is of the block with its top left at (y - 1, x - 1), 1 where it is rough.
+        Blocks that stick out of the frame are, and have to be marked by the caller.
+    """
+    top = max(rows.start - 1, 0)
+    block = np.ones((2, 2), np.uint8)
+    # anchored at its bottom right, the block of (y, x) holds (y - 1, x - 1) .. (y, x)
+    strip = packed[top : rows.stop]
+    spread = cv2.dilate(strip, block, anchor=(1, 1))
+    spread -= cv2.erode(strip, block, anchor=(1, 1))
+    smooth = cv2.inRange(spread, (-1.0,) * 4, (*(SMOOTH_NORMAL,) * 3, SMOOTH_DEPTH))
+    out[top + 1 : rows.stop, 1:-1] = smooth[1:, 1:] == 0
 
 
 def reproject(
     history: np.ndarray,
     before: Guides,
+    rough: np.ndarray | None,
     now: Guides,
     motion: np.ndarray | None,
     rows: slice,
@@ -44,86 +108,132 @@ def reproject(
 ) -> np.ndarray:
     """Bring the history to the current pixels, bilinear taps accepted one by one.
 
-    A tap counts when it lies in the frame, holds samples, and shows the same surface: its normal
-    within ``normal_cosine`` and its depth within ``depth_ratio`` of the current pixel's. The
+    A tap counts when it lies in the frame and shows the same surface: its normal within
+    ``normal_cosine`` of the current pixel's, and the deeper of both at most ``1 + depth_ratio``
+    times as deep as the other. The
     weights of the accepted taps are normalised, so that one good tap is enough; the sample count
     is scaled by the accepted share, so that a pixel at a disocclusion does not claim more than
     it has (Fan et al. 2021, section 4.1; differs: per tap, as in Schied et al. 2017, section 4.1,
     and no world positions are needed).
 
+    Most pixels look back at one smooth surface, where the four taps share their fate and one
+    interpolation answers for them all; only the others are taken apart.
+
     Parameters
     ----------
     history : (H, w, 4) float32
         Irradiance and, last, the samples that it holds; the whole previous frame.
-    before
-        Guides of the whole previous frame.
+    before, rough
+        Guides of the whole previous frame, and their `rough_blocks`.
     now
         Guides of the rows to fill.
     motion : (h, w, 2) float32 or None
         Pixels, of the rows to fill; None where nothing moves.
     rows
         The rows of the frame to fill.
+    options
+        Thresholds.
 
     Returns
     -------
     (h, w, 4) float32
         Irradiance and samples at the current pixels; zeros where no tap was accepted.
     """
+    guided = before.packed is not None and now.packed is not None
     if motion is None:
         taken = history[rows].copy()
-        accepted = _same_surface(before.rows(rows), now, options)
-        return taken if accepted is None else taken * accepted[..., None]
-    height, width = motion.shape[:2]
-    column, row = np.meshgrid(
-        np.arange(width, dtype=np.float32),
-        np.arange(rows.start, rows.stop, dtype=np.float32),
+        if guided:
+            same = _same_surface(before.packed[rows].copy(), now.packed, options)
+            taken = cv2.copyTo(taken, same.view(np.uint8))
+        return taken
+    height, width = history.shape[:2]
+    x, y = _positions(motion, rows, height)
+    taken = _bilinear(history, x, y)
+    if guided:
+        same = _same_surface(_bilinear(before.packed, x, y), now.packed, options)
+        taken = cv2.copyTo(taken, same.view(np.uint8))
+    left, top = np.floor(x), np.floor(y)
+    if rough is None or not guided:
+        apart = (left < 0) | (left >= width - 1) | (top < 0) | (top >= height - 1)
+    else:
+        apart = _nearest(rough, left + 1, top + 1) > 0
+    at = np.flatnonzero(apart)
+    if at.size:
+        now_listed = None if now.packed is None else _pixels(now.packed)[at].view(np.float32)
+        listed = _tap_by_tap(
+            history, before.packed, now_listed, x.reshape(-1)[at], y.reshape(-1)[at], options
+        )
+        _pixels(taken)[at] = _pixels(listed)
+    return taken
+
+
+def _pixels(image: np.ndarray) -> np.ndarray:
+    """Four floats as one 16-byte element: NumPy then picks and puts pixels six times faster."""
+    return image.reshape(-1).view(np.complex128)
+
+
+def _positions(motion: np.ndarray, rows: slice, frame_height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where each pixel was; far positions come near, all of their taps still outside."""
+    width = motion.shape[1]
+    x = motion[..., 0] + np.arange(width, dtype=np.float32)
+    y = motion[..., 1] + np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
+    np.clip(x, _OUTSIDE, np.float32(width) - _OUTSIDE, out=x)
+    np.clip(y, _OUTSIDE, np.float32(frame_height) - _OUTSIDE, out=y)
+    return x, y
+
+
+def _tap_by_tap(
+    history: np.ndarray,
+    before: np.ndarray | None,
+    now: np.ndarray | None,
+    x: np.ndarray,
+    y: np.ndarray,
+    options: Temporal,
+) -> np.ndarray:
+    """The definition, for a list of ``n`` pixels: ``(n, 4)``."""
+    # laid out as an image, so that OpenCV does the gathering
+    count, shape = x.size, (-(-x.size // _LIST_WIDTH), _LIST_WIDTH)
+    x, y = (
+        np.append(part, np.full(shape[0] * shape[1] - count, _OUTSIDE)).reshape(shape)
+        for part in (x, y)
     )
-    x, y = column + motion[..., 0], row + motion[..., 1]
-    # NaN and far positions land outside the frame, where every tap is empty
-    inside = (x > -1) & (x < width) & (y > -1) & (y < history.shape[0])
-    x, y = np.where(inside, x, np.float32(-4)), np.where(inside, y, np.float32(-4))
+    if now is not None:
+        now = np.resize(now, (*shape, 4))  # repeats for the padding, whose taps lie outside
     left, top = np.floor(x), np.floor(y)
     right_share, low_share = x - left, y - top
-    total = np.zeros((height, width, 4), np.float32)
-    weight_sum = np.zeros((height, width), np.float32)
+    total = np.zeros((4, *shape), np.float32)
+    weight_sum = np.zeros(shape, np.float32)
+    height, width = history.shape[:2]
     for tap_y, share_y in ((0, 1 - low_share), (1, low_share)):
         for tap_x, share_x in ((0, 1 - right_share), (1, right_share)):
+            column, row = left + tap_x, top + tap_y
             weight = share_x * share_y
-            at_x, at_y = left + tap_x, top + tap_y
-            tap = _fetch(history, at_x, at_y)
-            found = Guides(
-                normal=None if before.normal is None else _fetch(before.normal, at_x, at_y),
-                depth=None if before.depth is None else _fetch(before.depth, at_x, at_y),
-            )
-            accepted = _same_surface(found, now, options)
-            if accepted is not None:
-                weight *= accepted
-            weight *= tap[..., 3] > 0
-            total += weight[..., None] * tap
+            weight *= (column >= 0) & (column < width) & (row >= 0) & (row < height)
+            if before is not None and now is not None:
+                weight *= _same_surface(_nearest(before, column, row), now, options)
+            for plane, sums in zip(planes_of(_nearest(history, column, row)), total, strict=True):
+                plane *= weight
+                sums += plane
             weight_sum += weight
     # samples stay scaled by the accepted share; irradiance is normalised
-    total[..., :3] /= np.maximum(weight_sum, np.float32(1e-12))[..., None]
-    return total
+    total[:3] /= np.maximum(weight_sum, _TINY)
+    return cv2.merge(list(total)).reshape(-1, 4)[:count]
 
 
-def _fetch(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    # at whole pixels every interpolation is a copy; nearest is the one that computes nothing
-    return cv2.remap(image, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+def _same_surface(before: np.ndarray, now: np.ndarray, options: Temporal) -> np.ndarray:
+    """Whether packed guides ``(h, w, 4)`` show one surface: ``(h, w)`` bool; ``before`` is lost."""
+    depth_apart = before[..., 3] - now[..., 3]
+    np.abs(depth_apart, out=depth_apart)
+    near = depth_apart <= np.float32(np.log1p(options.depth_ratio))
+    before *= now
+    near &= cv2.transform(before, _NORMAL_SUM) >= np.float32(options.normal_cosine)
+    return near
 
 
-def _same_surface(before: Guides, now: Guides, options: Temporal) -> np.ndarray | None:
-    """1 where both show one surface, else 0; None where no guide can tell."""
-    accepted: np.ndarray | None = None
-    if before.normal is not None and now.normal is not None:
-        cosine = cv2.transform(before.normal * now.normal, np.ones((1, 3), np.float32))
-        # background has no normal: it goes with background only
-        empty_now = ~now.normal.any(axis=-1)
-        empty_before = ~before.normal.any(axis=-1)
-        accepted = np.where(
-            empty_now | empty_before, empty_now & empty_before, cosine >= options.normal_cosine
-        )
-    if before.depth is not None and now.depth is not None:
-        difference = np.abs(before.depth - now.depth)
-        near = difference <= options.depth_ratio * np.maximum(now.depth, _IRRELEVANT)
-        accepted = near if accepted is None else accepted & near
-    return None if accepted is None else accepted.astype(np.float32)
+def _bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    # exact at four channels; for some other counts OpenCV rounds positions to 1/32 pixel
+    return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+
+
+def _nearest(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return cv2.remap(image, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=1)

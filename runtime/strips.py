@@ -10,7 +10,11 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-STRIP_PIXELS = 1 << 16  # 256 KiB a float32 plane
+import numpy as np
+
+# 512 KiB a float32 plane. Smaller strips stay in a nearer cache, but each has a price: a call on
+# a thread, the rows that a filter reads beyond it. 1 << 15 was measured a third slower.
+STRIP_PIXELS = 1 << 17
 
 
 class Strips:
@@ -26,7 +30,10 @@ class Strips:
         self._pool = ThreadPoolExecutor(threads, "stillray") if threads > 1 else None
 
     def run(self, work: Callable[[slice], None], height: int, width: int) -> None:
-        """Call ``work(rows)`` for every strip of a frame; strips do not overlap."""
+        """Call ``work(rows)`` for every strip of a frame; strips do not overlap.
+
+        Calls may run at the same time, on several threads.
+        """
         rows = max(1, STRIP_PIXELS // width)
         strips = [slice(top, min(top + rows, height)) for top in range(0, height, rows)]
         if self._pool is None or len(strips) == 1:
@@ -40,6 +47,11 @@ class Strips:
         """Stop the threads."""
         if self._pool is not None:
             self._pool.shutdown()
+
+
+def planes_of(image: np.ndarray) -> list[np.ndarray]:
+    """The channels of ``(h, w, c)`` as contiguous copies (cv2.split takes twice as long)."""
+    return [np.ascontiguousarray(image[..., channel]) for channel in range(image.shape[2])]
 
 
 def available_threads() -> int:

@@ -55,7 +55,7 @@ def reproject(
             for ty in (top, top + 1):
                 for tx in (left, left + 1):
                     weight = (1 - abs(at_x - tx)) * (1 - abs(at_y - ty))
-                    if not (0 <= tx < width and 0 <= ty < height) or history[ty, tx, 3] <= 0:
+                    if not (0 <= tx < width and 0 <= ty < height):
                         continue
                     hit, was_hit = normal[y, x].any(), normal_before[ty, tx].any()
                     if hit != was_hit:
@@ -63,8 +63,8 @@ def reproject(
                     cosine = float(np.dot(normal[y, x], normal_before[ty, tx]))
                     if hit and cosine < options.normal_cosine:
                         continue
-                    apart = abs(float(depth[y, x]) - float(depth_before[ty, tx]))
-                    if apart > options.depth_ratio * float(depth[y, x]):
+                    near, far = sorted([float(depth[y, x]), float(depth_before[ty, tx])])
+                    if far > (1 + options.depth_ratio) * near:
                         continue
                     total += weight * history[ty, tx].astype(np.float64)
                     weights += weight

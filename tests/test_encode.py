@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from stillray import encode
+from stillray.models_spec.loader import FEATURES
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
@@ -12,23 +13,21 @@ def test_features_do_not_change_with_the_scene_s_exposure(scale, spec, rng):
     scaled = mean * np.float32([scale, scale, scale, 1])
 
     def features(accumulated):
-        light = encode.luminance(np.ascontiguousarray(accumulated[..., :3]))
+        light = encode.luminance(accumulated)
         exposure = encode.frame_exposure(light, spec.transfer)
-        local = encode.local_luminance(light, exposure, spec.transfer)
-        return encode.feature_planes(
-            accumulated,
-            local,
-            exposure,
-            spec.temporal,
-            albedo=None,
-            normal=None,
-            depth=None,
-            depth_unit=1.0,
-        )
+        local = encode.local_luminance(encode.tone_map(light, exposure), spec.transfer)
+        return _planes(accumulated, local, exposure, spec)
 
-    base = features(mean)
-    for name, plane in features(scaled).items():
-        np.testing.assert_allclose(plane, base[name], rtol=1e-4, err_msg=name)
+    np.testing.assert_allclose(features(scaled), features(mean), rtol=1e-4)
+
+
+def _planes(mean, local, exposure, spec, depth=None):
+    out = np.zeros((len(FEATURES), *local.shape), np.float32)
+    encode.feature_planes(
+        mean, local, exposure, spec.temporal, FEATURES, albedo=None, normal=None, depth=depth,
+        depth_unit=1.0 if depth is None else encode.depth_scale(depth), out=out,
+    )  # fmt: skip
+    return out
 
 
 def test_exposure_ignores_fireflies_and_black_pixels(spec):
@@ -61,14 +60,28 @@ def test_tone_map_is_monotonic_and_finite_up_to_infinity():
 
 def test_depth_feature_is_zero_for_background(spec):
     depth = np.float32([[0, 2, 4]])
-    planes = encode.feature_planes(
-        np.ones((1, 3, 4), np.float32),
-        np.zeros((1, 3), np.float32),
-        1.0,
-        spec.temporal,
-        albedo=None,
-        normal=None,
-        depth=depth,
-        depth_unit=encode.depth_scale(depth),
-    )
-    np.testing.assert_allclose(planes["depth"], [[0, 2 / 5, 4 / 7]])
+    mean, local = np.ones((1, 3, 4), np.float32), np.zeros((1, 3), np.float32)
+    planes = _planes(mean, local, 1.0, spec, depth)
+    np.testing.assert_allclose(planes[FEATURES.index("depth")], [[0, 2 / 5, 4 / 7]])
+
+
+def test_every_feature_lands_in_the_plane_of_its_name(spec, rng):
+    mean = rng.random((4, 5, 4)).astype(np.float32)
+    albedo, normal = rng.random((2, 4, 5, 3)).astype(np.float32)
+    local = np.full((4, 5), 0.25, np.float32)
+    asked = ("normal.z", "samples", "albedo.g", "local_luminance", "irradiance.b")
+    out = np.full((len(asked), 4, 5), np.nan, np.float32)
+    encode.feature_planes(
+        mean, local, 2.0, spec.temporal, asked, albedo=albedo, normal=normal, depth=None,
+        depth_unit=1.0, out=out,
+    )  # fmt: skip
+    exposed = 2 * mean[..., 2]
+    samples = mean[..., 3]
+    expected = [
+        normal[..., 2],
+        np.sqrt(samples / (samples + spec.temporal.max_samples / 4)),
+        albedo[..., 1],
+        np.full((4, 5), 0.5),
+        np.sqrt(exposed / (1 + exposed)),
+    ]
+    np.testing.assert_allclose(out, expected, rtol=1e-5)

@@ -26,7 +26,8 @@ def _random(size: tuple[int, int], seed: int, spread: float = 3.0):
 
 
 def _whole(irradiance, samples, logits, decoder=DECODER):
-    return kernels.filter_rows(irradiance, samples, logits, slice(0, irradiance.shape[0]), decoder)
+    mean = np.dstack([irradiance, samples])
+    return kernels.filter_rows(mean, logits, slice(0, mean.shape[0]), decoder)
 
 
 @pytest.mark.parametrize("size", ODD_SIZES)
@@ -54,7 +55,7 @@ def test_strips_with_halo_equal_the_whole_image():
         low, high = max(top - halo, 0), min(top + 16 + halo, 61)
         inner = slice(top - low, min(top + 16, 61) - low)
         strip = kernels.filter_rows(
-            irradiance[low:high], samples[low:high], logits[:, low:high], inner, DECODER
+            np.dstack([irradiance, samples])[low:high], logits[:, low:high], inner, DECODER
         )
         np.testing.assert_array_equal(strip, whole[top : top + 16])
 

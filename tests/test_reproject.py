@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillray.reproject import Guides, reproject
+from stillray.reproject import Guides, pack, reproject, rough_blocks
 from tests import oracles
 from tests.conftest import ODD_SIZES
 
@@ -11,7 +11,6 @@ from tests.conftest import ODD_SIZES
 def _scene(size, seed):
     rng = np.random.default_rng(seed)
     history = rng.random((*size, 4)).astype(np.float32) * 8
-    history[rng.random(size) < 0.1] = 0  # pixels without samples
     faces = np.array([[0, 0, 1], [1, 0, 0], [0, 0, 0]], np.float32)  # two walls, background
     kind_before, kind = rng.integers(0, 3, size), rng.integers(0, 3, size)
     depths = np.array([2.0, 5.0, 0.0], np.float32)
@@ -19,17 +18,28 @@ def _scene(size, seed):
     return history, faces[kind_before], depths[kind_before], faces[kind], depths[kind], motion
 
 
-@pytest.mark.parametrize("size", ODD_SIZES)
-def test_taps_are_accepted_one_by_one_like_the_loop_oracle(size, spec):
-    history, normal_before, depth_before, normal, depth, motion = _scene(size, 3)
-    got = reproject(
-        history,
-        Guides(normal=normal_before, depth=depth_before),
-        Guides(normal=normal, depth=depth),
-        motion,
-        slice(0, size[0]),
-        spec.temporal,
-    )
+def _guides(normal, depth):
+    return Guides(packed=None if normal is None and depth is None else pack(normal, depth))
+
+
+def _run(history, before, now, motion, rows, spec):
+    rough = None
+    if before.packed is not None:
+        rough = np.ones((history.shape[0] + 1, history.shape[1] + 1), np.uint8)
+        for top in range(0, history.shape[0], 5):
+            rough_blocks(before.packed, slice(top, min(top + 5, history.shape[0])), rough)
+    return reproject(history, before, rough, now, motion, rows, spec.temporal)
+
+
+@pytest.mark.parametrize("size", [*ODD_SIZES, (40, 2)])
+@pytest.mark.parametrize("patch", [1, 7])
+def test_taps_are_accepted_one_by_one_like_the_loop_oracle(size, patch, spec):
+    # patches of one surface: their inner pixels take the quick way, their edges the other
+    history, *guides, motion = _scene(size, 3)
+    cells = tuple(np.arange(extent) // patch for extent in size)
+    normal_before, depth_before, normal, depth = (part[np.ix_(*cells)] for part in guides)
+    before, now = _guides(normal_before, depth_before), _guides(normal, depth)
+    got = _run(history, before, now, motion, slice(0, size[0]), spec)
     expected = oracles.reproject(
         history, normal_before, depth_before, normal, depth, motion, spec.temporal
     )
@@ -37,11 +47,21 @@ def test_taps_are_accepted_one_by_one_like_the_loop_oracle(size, spec):
     np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-4)
 
 
+def test_a_slanted_surface_keeps_its_history(spec):
+    # depth falls by 3 % a pixel: neighbours are one surface
+    depth = np.broadcast_to(5 * 0.97 ** np.arange(24, dtype=np.float32), (9, 24)).copy()
+    guides = _guides(None, depth)
+    history = np.ones((9, 24, 4), np.float32)
+    motion = np.full((9, 24, 2), 0.5, np.float32)
+    got = _run(history, guides, guides, motion, slice(0, 9), spec)
+    np.testing.assert_allclose(got[:-1, :-1], 1, rtol=1e-5)
+
+
 def test_a_whole_pixel_move_returns_the_history_shifted(spec, rng):
     history = rng.random((12, 9, 4)).astype(np.float32) + 0.1
     motion = np.broadcast_to(np.float32([2, -3]), (12, 9, 2)).copy()
-    guides = Guides(normal=None, depth=None)
-    got = reproject(history, guides, guides, motion, slice(0, 12), spec.temporal)
+    guides = _guides(None, None)
+    got = _run(history, guides, guides, motion, slice(0, 12), spec)
     # previous = current + motion: row 3, column 0 was at row 0, column 2
     np.testing.assert_allclose(got[3:, :7], history[:9, 2:], rtol=1e-6)
     assert (got[:3] == 0).all()
@@ -50,19 +70,18 @@ def test_a_whole_pixel_move_returns_the_history_shifted(spec, rng):
 
 def test_rows_of_a_strip_equal_those_of_the_whole(spec):
     history, normal_before, depth_before, normal, depth, motion = _scene((33, 18), 5)
-    before = Guides(normal=normal_before, depth=depth_before)
-    now = Guides(normal=normal, depth=depth)
-    whole = reproject(history, before, now, motion, slice(0, 33), spec.temporal)
+    before, now = _guides(normal_before, depth_before), _guides(normal, depth)
+    whole = _run(history, before, now, motion, slice(0, 33), spec)
     rows = slice(11, 26)
-    strip = reproject(history, before, now.rows(rows), motion[rows], rows, spec.temporal)
+    strip = _run(history, before, now.rows(rows), motion[rows], rows, spec)
     np.testing.assert_array_equal(strip, whole[rows])
 
 
 def test_no_motion_checks_the_surface_all_the_same(spec):
     history = np.ones((2, 2, 4), np.float32)
-    before = Guides(normal=None, depth=np.float32([[1, 1], [1, 1]]))
-    now = Guides(normal=None, depth=np.float32([[1, 9], [1.05, 0]]))
-    got = reproject(history, before, now, None, slice(0, 2), spec.temporal)
+    before = _guides(None, np.float32([[1, 1], [1, 1]]))
+    now = _guides(None, np.float32([[1, 9], [1.05, 0]]))
+    got = _run(history, before, now, None, slice(0, 2), spec)
     np.testing.assert_array_equal(got[..., 3], [[1, 0], [1, 0]])
 
 
@@ -70,6 +89,6 @@ def test_no_motion_checks_the_surface_all_the_same(spec):
 def test_motion_out_of_the_frame_brings_no_history(value, spec):
     history = np.ones((5, 6, 4), np.float32)
     motion = np.full((5, 6, 2), value, np.float32)
-    none = Guides(normal=None, depth=None)
-    got = reproject(history, none, none, motion, slice(0, 5), spec.temporal)
+    none = _guides(None, None)
+    got = _run(history, none, none, motion, slice(0, 5), spec)
     assert (got == 0).all()

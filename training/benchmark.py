@@ -20,6 +20,7 @@ from typing import Annotated
 import cv2
 import numpy as np
 import typer
+from rich.console import Console
 from rich.progress import track
 
 from stillray.denoiser import Denoiser
@@ -76,7 +77,7 @@ def measure(frames: list[Frame], rounds: int) -> tuple[dict[str, list[float]], l
         run(0)
         run(1)
     times: dict[str, list[float]] = {name: [] for name in made}
-    for turn in track(range(rounds), description="rounds"):
+    for turn in track(range(rounds), "rounds", console=Console(stderr=True)):
         for name, run in made.items():
             start = time.perf_counter()
             run(turn)

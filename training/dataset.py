@@ -70,15 +70,15 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> Iterator[E
         assert history is not None
         assert prepared.divisor is not None
         assert prepared.albedo is not None
-        assert history.guides.normal is not None
-        assert history.guides.depth is not None
+        assert prepared.normal is not None
+        assert prepared.depth is not None
         yield Example(
             mean=history.mean,
             exposure=history.exposure,
             divisor=prepared.divisor,
             albedo=prepared.albedo,
-            normal=history.guides.normal,
-            depth=history.guides.depth,
+            normal=prepared.normal,
+            depth=prepared.depth,
             depth_unit=prepared.depth_unit,
             reference=reference,
         )
@@ -143,20 +143,22 @@ class PatchSampler:
             depth = None
         stops = rng.uniform(-recipe.exposure_stops, recipe.exposure_stops)
         exposure = float(example.exposure * 2**stops)
-        light = encode.luminance(np.ascontiguousarray(mean[..., :3]))
-        planes = encode.feature_planes(
+        light = encode.tone_map(encode.luminance(mean), exposure)
+        features = np.zeros((len(spec.network.features), *light.shape), np.float32)
+        encode.feature_planes(
             mean,
-            encode.local_luminance(light, exposure, spec.transfer),
+            encode.local_luminance(light, spec.transfer),
             exposure,
             spec.temporal,
+            spec.network.features,
             albedo=albedo,
             normal=normal,
             depth=depth,
             depth_unit=example.depth_unit,
+            out=features,
         )
-        empty = np.zeros(light.shape, np.float32)
         return {
-            "features": np.stack([planes.get(name, empty) for name in spec.network.features]),
+            "features": features,
             "irradiance": _chw(mean[..., :3]),
             "samples": mean[None, ..., 3],
             "divisor": _chw(divisor),

@@ -14,6 +14,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from rich.console import Console
 from rich.progress import track
 
 from stillray.denoiser import Denoiser, History, prepare
@@ -163,7 +164,7 @@ def main(
         models,
         peers=peers,
         pictures=pictures,
-        progress=lambda scenes: track(scenes, description="scenes"),  # type: ignore[arg-type]
+        progress=lambda scenes: track(scenes, "scenes", console=Console(stderr=True)),  # type: ignore[arg-type]
     )
     print(markdown(scores))
     if out:

@@ -101,6 +101,7 @@ def train(spec: ModelSpec, data: list[Path], out: Path, *, save_every: int = 200
         for sequence in sequences:
             examples += load_examples(sequence, spec, Strips(1))
             progress.advance(loading)
+        _forget_after(out / "log.csv", step)
         (out / "data.json").write_text(json.dumps([path.name for path in sequences], indent=1))
         sampler = PatchSampler(examples, spec)
         task = progress.add_task(spec.name, total=spec.training.steps, completed=step)
@@ -140,6 +141,15 @@ def _log(path: Path, step: int, loss: float, seconds: float) -> None:
         if new:
             writer.writerow(["step", "smape", "seconds"])
         writer.writerow([step, f"{loss:.6f}", f"{seconds:.1f}"])
+
+
+def _forget_after(path: Path, step: int) -> None:
+    """Drop the rows of steps that a resumed run takes again."""
+    if path.is_file():
+        with path.open(newline="") as file:
+            header, *rows = list(csv.reader(file))
+        with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
+            csv.writer(file).writerows([header, *(row for row in rows if int(row[0]) <= step)])
 
 
 def _save(

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
 from rich.progress import track
 
 from stillray.errors import InputError
@@ -67,7 +68,7 @@ def simulate(
     )
     # seed by seed through all scenes: a run that is stopped early still holds every scene
     jobs = [(name, first_seed + index) for index in range(count) for name in scene]
-    for name, seed in track(jobs, description="scenes"):
+    for name, seed in track(jobs, "scenes", console=Console(stderr=True)):
         label = ROOM if name == ROOM else Path(name).resolve().parent.name
         folders = {
             view: folder / f"{label}-{seed:04d}-{view}"

@@ -145,7 +145,7 @@ def render_sequence(mi: Any, source: OpenScene, folder: Path, options: SequenceO
                 seed=seed,
                 max_depth=options.max_depth,
             )
-            write_channels(target, _channels(layers), formats={"depth.Z": "float"})
+            write_channels(target, _channels(layers))
         target = folder / f"ref_{frame:04d}.exr"
         if frame >= options.frames - options.references and not target.is_file():
             reference = buffers.render_reference(

@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from stillray.errors import InputError  # noqa: E402
+from stillray.exr import write_channels  # noqa: E402
+from stillray.models_spec import load  # noqa: E402
+from stillray.strips import Strips  # noqa: E402
+from stillray.training import provenance, train  # noqa: E402
+from stillray.training.dataset import (  # noqa: E402
+    STARTS,
+    PatchSampler,
+    find_sequences,
+    load_examples,
+)
+from tests.conftest import clean_color, make_frame  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """One tiny finished sequence, and one that was cut off."""
+    folder = tmp_path_factory.mktemp("data")
+    for name, finished in (("room-0000-0", True), ("room-0001-0", False)):
+        sequence = folder / name
+        sequence.mkdir()
+        for index in range(3):
+            frame = make_frame(40, 48, index)
+            layers = {
+                "": ("RGB", frame.color), "albedo.": ("RGB", frame.albedo),
+                "normal.": ("XYZ", frame.normal), "depth.": ("Z", frame.depth[..., None]),
+                "motion.": ("XY", frame.motion),
+            }  # fmt: skip
+            write_channels(
+                sequence / f"frame_{index:04d}.exr",
+                {
+                    prefix + channel: image[..., place]
+                    for prefix, (channels, image) in layers.items()
+                    for place, channel in enumerate(channels)
+                },
+            )
+        truth = clean_color(40, 48)
+        write_channels(sequence / "ref_0002.exr", {c: truth[..., i] for i, c in enumerate("RGB")})
+        if finished:
+            (sequence / "sequence.json").write_text("{}")
+    return folder
+
+
+@pytest.fixture
+def small():
+    spec = load("wskp-3")
+    recipe = dataclasses.replace(spec.training, steps=30, batch=2, patch=32, learning_rate=5e-3)
+    return dataclasses.replace(spec, training=recipe)
+
+
+def test_only_finished_sequences_are_learned_from(data):
+    assert [path.name for path in find_sequences(data)] == ["room-0000-0"]
+
+
+def test_examples_hold_one_sample_a_few_and_more(data, small):
+    examples = list(load_examples(find_sequences(data)[0], small, Strips(1)))
+    held = [float(np.median(example.mean[..., 3])) for example in examples]
+    assert len(held) == len(STARTS)
+    assert held[0] <= 1 < held[1]
+
+
+def test_a_batch_depends_on_seed_and_step_only(data, small):
+    examples = list(load_examples(find_sequences(data)[0], small, Strips(1)))
+    first, again = (PatchSampler(examples, small).batch(5) for _ in range(2))
+    np.testing.assert_array_equal(first.features, again.features)
+    other = PatchSampler(examples, small).batch(6)
+    assert not np.array_equal(first.features, other.features)
+    assert first.features.shape == (2, 12, 32, 32)
+
+
+def test_augmentation_keeps_target_and_input_together(data, small):
+    # the mean of many noisy samples is the reference, whatever the turn, order, gain and albedo
+    examples = list(load_examples(find_sequences(data)[0], small, Strips(1)))
+    ratios = []
+    for step in range(20):
+        batch = PatchSampler(examples, small).batch(step)
+        radiance = (batch.irradiance * batch.divisor).mean((2, 3))
+        ratios.append(radiance / batch.reference.mean((2, 3)))
+    np.testing.assert_allclose(np.mean(ratios, axis=(0, 1)), 1, atol=0.1)
+
+
+def test_training_lowers_the_loss_and_resumes_where_it_stopped(data, small, tmp_path):
+    whole = train.train(small, [data], tmp_path / "whole", save_every=10)
+    half = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=20))
+    # the learning rate follows the recipe's length: keep it, stop early
+    original = train.learning_rate
+    try:
+        train.learning_rate = lambda step, _: original(step, small)
+        train.train(half, [data], tmp_path / "parts", save_every=10)
+        resumed = train.train(small, [data], tmp_path / "parts", save_every=10)
+    finally:
+        train.learning_rate = original
+    for one, other in zip(whole.parameters(), resumed.parameters(), strict=True):
+        torch.testing.assert_close(one, other)
+    with (tmp_path / "parts" / "log.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["step"]) for row in rows] == sorted({int(row["step"]) for row in rows})
+    examples = list(load_examples(find_sequences(data)[0], small, Strips(1)))
+    batch = PatchSampler(examples, small).batch(999)
+    torch.manual_seed(small.training.seed)
+    before = train.reconstruct_loss(train.ImportanceNet(small), batch, small)
+    assert train.reconstruct_loss(whole, batch, small) < before
+
+
+def test_a_checkpoint_of_another_network_is_refused(data, small, tmp_path):
+    short = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=1))
+    train.train(short, [data], tmp_path, save_every=1)
+    with pytest.raises(InputError, match="checkpoint must be of wskp-3"):
+        train.train(train.without_branches(short), [data], tmp_path)
+
+
+def test_an_empty_data_folder_is_refused(small, tmp_path):
+    with pytest.raises(InputError, match="data must hold finished sequences"):
+        train.train(small, [tmp_path], tmp_path / "out")
+
+
+def test_provenance_counts_scenes_and_credits_them(small, tmp_path):
+    (tmp_path / "data.json").write_text(json.dumps(["room-0000-0", "room-0001-2", "tire-0000-0"]))
+    (tmp_path / "log.csv").write_text("step,smape,seconds\n20,0.5,1\n40,0.3,2\n")
+    about = provenance.collect(tmp_path, small, 40)
+    assert about["data"] == {"room": 2, "tire": 1}
+    assert "HorusZ" in about["credits"]["tire"]
+    assert about["training_smape"] == pytest.approx(0.4)
+
+
+def test_a_scene_of_unknown_licence_cannot_ship():
+    with pytest.raises(InputError, match=r"must be in credits\.toml, got torus"):
+        provenance.credits_of({"room", "torus"})
