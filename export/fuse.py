@@ -21,7 +21,7 @@ def fuse(network: ImportanceNet) -> nn.Sequential:
         ``(n, features, h, w)`` to ``(n, 2 m, h, w)``, in evaluation mode.
     """
     layers: list[nn.Module] = []
-    for block in network.blocks:
+    for block in network.chain():
         weight, bias = (part.detach().clone() for part in block.fused())
         convolution = nn.Conv2d(
             weight.shape[1], weight.shape[0], block.kernel_size, padding=block.kernel_size // 2

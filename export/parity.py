@@ -95,14 +95,15 @@ def decoded(
     irradiance: np.ndarray, samples: np.ndarray, logits: np.ndarray, spec: ModelSpec
 ) -> dict[str, np.ndarray]:
     """The same logits through each decoder; ``oracle`` is the PyTorch one in float64."""
-    take = [torch.from_numpy(part) for part in (irradiance, samples, logits)]
+    light, held, maps = (torch.from_numpy(part) for part in (irradiance, samples, logits))
+    exact = fused_kernels(light.double(), held.double(), maps.double(), spec.decoder)
     mean = np.concatenate([irradiance, samples], axis=1)[0].transpose(1, 2, 0)
     runtime = kernels.filter_rows(
         np.ascontiguousarray(mean), logits[0], slice(0, mean.shape[0]), spec.decoder
     )
     return {
-        "oracle": fused_kernels(*(part.double() for part in take), spec.decoder).numpy(),
-        "torch decoder": fused_kernels(*take, spec.decoder).numpy(),
+        "oracle": exact.numpy(),
+        "torch decoder": fused_kernels(light, held, maps, spec.decoder).numpy(),
         "runtime decoder": runtime.transpose(2, 0, 1)[None],
     }
 

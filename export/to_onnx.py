@@ -119,6 +119,7 @@ def to_model(
             dynamic_shapes=tuple(axes for _ in example),
             verbose=False,
         )
+    assert program is not None
     model = program.model_proto
     del model.metadata_props[:]
     for node in model.graph.node:  # the exporter notes paths of this machine in every node

@@ -35,14 +35,14 @@ class History:
     ----------
     mean : (h, w, 4) float32
         Accumulated irradiance and, last, the samples that each pixel holds.
-    guides
-        Geometry of the last frame.
+    guides : (h, w, 4) float32 or None
+        Geometry of the last frame, see `stillray.reproject.pack`.
     exposure
         1 / irradiance, steadied over the sequence.
     """
 
     mean: np.ndarray
-    guides: rep.Guides
+    guides: np.ndarray | None
     exposure: float
 
 
@@ -326,7 +326,7 @@ def prepare(
         strips.run(tone, height, width)
         local = encode.local_luminance(toned, spec.transfer)
 
-    guides = rep.Guides(packed=None)
+    guides: np.ndarray | None = None
     past: np.ndarray | None = None
     if temporal and not (normal is None and depth is None):
         with timed(timings, "guides"):
@@ -364,7 +364,7 @@ def prepare(
 
 def _pack(
     normal: np.ndarray | None, depth: np.ndarray | None, shape: tuple[int, int], strips: Strips
-) -> rep.Guides:
+) -> np.ndarray:
     packed = np.empty((*shape, 4), np.float32)
 
     def work(rows: slice) -> None:
@@ -373,7 +373,7 @@ def _pack(
         )
 
     strips.run(work, *shape)
-    return rep.Guides(packed=packed)
+    return packed
 
 
 def _far_if_broken(motion: np.ndarray) -> np.ndarray:
@@ -386,23 +386,23 @@ def _far_if_broken(motion: np.ndarray) -> np.ndarray:
 
 
 def _warp(
-    motion: np.ndarray, history: History, guides: rep.Guides, spec: ModelSpec, strips: Strips
+    motion: np.ndarray, history: History, guides: np.ndarray | None, spec: ModelSpec, strips: Strips
 ) -> np.ndarray:
     height, width = motion.shape[:2]
     past = np.empty((height, width, 4), np.float32)
     moving = bool(motion.any())
-    packed = history.guides.packed
+    before = history.guides
     rough: np.ndarray | None = None
-    if moving and packed is not None:
+    if moving and before is not None and guides is not None:
         marked = rough = np.ones((height + 1, width + 1), np.uint8)
-        strips.run(lambda rows: rep.rough_blocks(packed, rows, marked), height, width)
+        strips.run(lambda rows: rep.rough_blocks(before, rows, marked), height, width)
 
     def work(rows: slice) -> None:
         past[rows] = rep.reproject(
             history.mean,
-            history.guides,
+            before,
             rough,
-            guides.rows(rows),
+            None if guides is None else guides[rows],
             motion[rows] if moving else None,
             rows,
             spec.temporal,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
@@ -17,31 +15,16 @@ SMOOTH_DEPTH = 0.1
 _NEAREST = np.float32(1e-30)  # unit of depth: keeps the logarithm finite
 _EMPTY_DEPTH = np.float32(-100)  # "logarithm of the depth" of background: far from all surfaces
 _OUTSIDE = np.float32(-8)  # pixels: a position whose four taps all lie outside
-_NORMAL_SUM = np.float32([[1, 1, 1, 0]])
+_NORMAL_SUM = np.array([[1, 1, 1, 0]], np.float32)
 _NO_NORMAL = 0.25  # a normal with no component beyond this points nowhere
 _LIST_WIDTH = 256  # pixels of a row when a list of pixels is laid out as an image
 _TINY = np.float32(1e-12)  # share of a tap: keeps 0/0 out of pixels without a tap
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Guides:
-    """Geometry that decides whether two pixels show the same surface.
-
-    Attributes
-    ----------
-    packed : (h, w, 4) float32 or None
-        Normal and the logarithm of depth, as `pack` makes them; None where a frame has neither.
-    """
-
-    packed: np.ndarray | None
-
-    def rows(self, rows: slice) -> Guides:
-        """A view of some rows."""
-        return Guides(packed=None if self.packed is None else self.packed[rows])
-
-
 def pack(normal: np.ndarray | None, depth: np.ndarray | None) -> np.ndarray:
-    """Guides of a frame's rows; a feature that is missing agrees with everything.
+    """Guides of a frame's rows: the geometry that tells whether two pixels show one surface.
+
+    A feature that is missing agrees with everything.
 
     Parameters
     ----------
@@ -53,6 +36,7 @@ def pack(normal: np.ndarray | None, depth: np.ndarray | None) -> np.ndarray:
     Returns
     -------
     (h, w, 4) float32
+        Normal and the logarithm of depth.
     """
     if depth is not None:
         logarithm = cv2.log(np.maximum(depth, _NEAREST))
@@ -99,9 +83,9 @@ def rough_blocks(packed: np.ndarray, rows: slice, out: np.ndarray) -> None:
 
 def reproject(
     history: np.ndarray,
-    before: Guides,
+    before: np.ndarray | None,
     rough: np.ndarray | None,
-    now: Guides,
+    now: np.ndarray | None,
     motion: np.ndarray | None,
     rows: slice,
     options: Temporal,
@@ -123,9 +107,11 @@ def reproject(
     ----------
     history : (H, w, 4) float32
         Irradiance and, last, the samples that it holds; the whole previous frame.
-    before, rough
-        Guides of the whole previous frame, and their `rough_blocks`.
-    now
+    before : (H, w, 4) float32 or None
+        Guides of the whole previous frame, see `pack`; None where it had none.
+    rough : (H + 1, w + 1) uint8 or None
+        Their `rough_blocks`; not needed where nothing moves.
+    now : (h, w, 4) float32 or None
         Guides of the rows to fill.
     motion : (h, w, 2) float32 or None
         Pixels, of the rows to fill; None where nothing moves.
@@ -139,29 +125,28 @@ def reproject(
     (h, w, 4) float32
         Irradiance and samples at the current pixels; zeros where no tap was accepted.
     """
-    guided = before.packed is not None and now.packed is not None
     if motion is None:
         taken = history[rows].copy()
-        if guided:
-            same = _same_surface(before.packed[rows].copy(), now.packed, options)
+        if before is not None and now is not None:
+            same = _same_surface(before[rows].copy(), now, options)
             taken = cv2.copyTo(taken, same.view(np.uint8))
         return taken
     height, width = history.shape[:2]
     x, y = _positions(motion, rows, height)
     taken = _bilinear(history, x, y)
-    if guided:
-        same = _same_surface(_bilinear(before.packed, x, y), now.packed, options)
+    if before is not None and now is not None:
+        same = _same_surface(_bilinear(before, x, y), now, options)
         taken = cv2.copyTo(taken, same.view(np.uint8))
     left, top = np.floor(x), np.floor(y)
-    if rough is None or not guided:
+    if rough is None:
         apart = (left < 0) | (left >= width - 1) | (top < 0) | (top >= height - 1)
     else:
         apart = _nearest(rough, left + 1, top + 1) > 0
     at = np.flatnonzero(apart)
     if at.size:
-        now_listed = None if now.packed is None else _pixels(now.packed)[at].view(np.float32)
+        now_listed = None if now is None else _pixels(now)[at].view(np.float32)
         listed = _tap_by_tap(
-            history, before.packed, now_listed, x.reshape(-1)[at], y.reshape(-1)[at], options
+            history, before, now_listed, x.reshape(-1)[at], y.reshape(-1)[at], options
         )
         _pixels(taken)[at] = _pixels(listed)
     return taken

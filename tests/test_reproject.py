@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillray.reproject import Guides, pack, reproject, rough_blocks
+from stillray.reproject import pack, reproject, rough_blocks
 from tests import oracles
 from tests.conftest import ODD_SIZES
 
@@ -19,15 +19,15 @@ def _scene(size, seed):
 
 
 def _guides(normal, depth):
-    return Guides(packed=None if normal is None and depth is None else pack(normal, depth))
+    return None if normal is None and depth is None else pack(normal, depth)
 
 
 def _run(history, before, now, motion, rows, spec):
     rough = None
-    if before.packed is not None:
+    if before is not None:
         rough = np.ones((history.shape[0] + 1, history.shape[1] + 1), np.uint8)
         for top in range(0, history.shape[0], 5):
-            rough_blocks(before.packed, slice(top, min(top + 5, history.shape[0])), rough)
+            rough_blocks(before, slice(top, min(top + 5, history.shape[0])), rough)
     return reproject(history, before, rough, now, motion, rows, spec.temporal)
 
 
@@ -73,7 +73,7 @@ def test_rows_of_a_strip_equal_those_of_the_whole(spec):
     before, now = _guides(normal_before, depth_before), _guides(normal, depth)
     whole = _run(history, before, now, motion, slice(0, 33), spec)
     rows = slice(11, 26)
-    strip = _run(history, before, now.rows(rows), motion[rows], rows, spec)
+    strip = _run(history, before, now[rows], motion[rows], rows, spec)
     np.testing.assert_array_equal(strip, whole[rows])
 
 

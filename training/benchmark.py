@@ -31,6 +31,7 @@ from stillray.strips import available_threads
 from stillray.training.peers import OIDN_QUALITIES, open_image_denoise
 
 SEQUENCE = Path("tests/data/room")
+NOTHING = "nothing"  # the buffers alone: what memory is compared with
 
 
 def load_frames(folder: Path, height: int, width: int) -> list[Frame]:
@@ -57,22 +58,25 @@ def load_frames(folder: Path, height: int, width: int) -> list[Frame]:
     return frames
 
 
-def methods(frames: list[Frame]) -> dict[str, Callable[[int], object]]:
-    """Every model and peer as a function of the round."""
-    made: dict[str, Callable[[int], object]] = {}
-    for info in list_models():
-        denoiser = Denoiser(info.name)
-        made[info.name] = lambda turn, denoiser=denoiser: denoiser.denoise(frames[turn % 2])
-    for quality in OIDN_QUALITIES:
-        made[f"OIDN {quality}"] = lambda turn, quality=quality: open_image_denoise(
-            frames[turn % 2].color, frames[turn % 2].albedo, frames[turn % 2].normal, quality
-        )
-    return made
+def method(name: str, frames: list[Frame]) -> Callable[[int], object]:
+    """A model or a peer by name, as a function of the round; only that one is loaded."""
+    if name == NOTHING:
+        return lambda turn: None
+    if name.startswith("OIDN "):
+
+        def peer(turn: int) -> object:
+            frame = frames[turn % 2]
+            return open_image_denoise(frame.color, frame.albedo, frame.normal, name.split()[1])
+
+        return peer
+    denoiser = Denoiser(name)
+    return lambda turn: denoiser.denoise(frames[turn % 2])
 
 
 def measure(frames: list[Frame], rounds: int) -> tuple[dict[str, list[float]], list[dict]]:
     """Milliseconds of each method in each round, and stage timings of our models."""
-    made = methods(frames)
+    names = [info.name for info in list_models()] + [f"OIDN {q}" for q in OIDN_QUALITIES]
+    made = {name: method(name, frames) for name in names}
     for run in made.values():  # the first two calls allocate and choose kernels
         run(0)
         run(1)
@@ -130,7 +134,7 @@ def main(
     """Print times, ratios, stages and memory."""
     frames = load_frames(sequence, height, width)
     if only:
-        run = {"none": lambda turn: None, **methods_of(only, frames)}[only]
+        run = method(only, frames)
         for turn in range(3):
             run(turn)
         print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
@@ -142,7 +146,7 @@ def main(
         f"onnxruntime {version('onnxruntime')}, opencv {cv2.__version__}, "
         f"pyoidn {version('pyoidn')}; {width}x{height}, {rounds} rounds in turn\n"
     )
-    base = peak_memory("none", height, width, sequence)
+    base = peak_memory(NOTHING, height, width, sequence)
     print("| method | median ms | min | max | / OIDN fast | / OIDN high | peak MiB | net MiB |")
     print("|---|---|---|---|---|---|---|---|")
     for name, median in medians.items():
@@ -157,21 +161,6 @@ def main(
     print("|---" * (len(names) + 1) + "|")
     for row in stages:
         print(f"| {row['model']} | " + " | ".join(f"{row[name]:.1f}" for name in names) + " |")
-
-
-def methods_of(name: str, frames: list[Frame]) -> dict[str, Callable[[int], object]]:
-    """One method alone: nothing else is loaded when its memory is measured."""
-    if name.startswith("OIDN "):
-        quality = name.split()[1]
-        return {
-            name: lambda turn: open_image_denoise(
-                frames[turn % 2].color, frames[turn % 2].albedo, frames[turn % 2].normal, quality
-            )
-        }
-    if name == "none":
-        return {}
-    denoiser = Denoiser(name)
-    return {name: lambda turn: denoiser.denoise(frames[turn % 2])}
 
 
 if __name__ == "__main__":

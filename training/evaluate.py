@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -94,12 +94,12 @@ def evaluate_folder(
     *,
     peers: bool,
     pictures: Path | None = None,
-    progress: Callable[..., list[Path]] | None = None,
+    progress: Callable[[list[Path]], Iterable[Path]] = iter,
 ) -> Scores:
     """Scores of every method on every scene of a folder."""
     scores: Scores = {}
     scenes = find_scenes(folder)
-    for scene in progress(scenes) if progress else scenes:
+    for scene in progress(scenes):
         for method, values in evaluate_scene(scene, models, peers=peers, pictures=pictures):
             scores.setdefault(method, {})[scene.name] = values
     return scores
@@ -164,7 +164,7 @@ def main(
         models,
         peers=peers,
         pictures=pictures,
-        progress=lambda scenes: track(scenes, "scenes", console=Console(stderr=True)),  # type: ignore[arg-type]
+        progress=lambda scenes: track(scenes, "scenes", console=Console(stderr=True)),
     )
     print(markdown(scores))
     if out:

@@ -34,6 +34,10 @@ class ImportanceNet(nn.Module):
             for index in range(len(widths) - 1)
         )
 
+    def chain(self) -> list[RepVGGBlock]:
+        """The blocks in order."""
+        return [block for block in self.blocks if isinstance(block, RepVGGBlock)]
+
     def forward(self, features_nchw: Tensor) -> Tensor:
         """``(n, features, h, w)`` to ``(n, 2 m, h, w)``: m importance maps, then m fusion maps."""
         for block in self.blocks:
@@ -42,6 +46,6 @@ class ImportanceNet(nn.Module):
 
     def forward_branches(self, features_nchw: Tensor) -> Tensor:
         """The same, with every branch computed on its own."""
-        for block in self.blocks:
+        for block in self.chain():
             features_nchw = block.forward_branches(features_nchw)
         return features_nchw

@@ -44,14 +44,19 @@ class RepVGGBlock(nn.Module):
         self.identity = identity and width_in == width_out
         self.activation = activation
 
+    def branches(self) -> list[nn.Conv2d]:
+        """The trained convolutions, largest first as they were named."""
+        return [branch for branch in self.convolutions if isinstance(branch, nn.Conv2d)]
+
     def fused(self) -> tuple[Tensor, Tensor]:
         """Weight and bias of the one convolution that equals all branches together."""
         weight: Tensor | None = None
         bias: Tensor | None = None
-        for convolution in self.convolutions:
+        for convolution in self.branches():
             margin = (self.kernel_size - convolution.kernel_size[0]) // 2
             padded = F.pad(convolution.weight, [margin] * 4)
             weight = padded if weight is None else weight + padded
+            assert convolution.bias is not None
             bias = convolution.bias if bias is None else bias + convolution.bias
         assert weight is not None
         assert bias is not None
@@ -68,7 +73,7 @@ class RepVGGBlock(nn.Module):
 
     def forward_branches(self, planes_nchw: Tensor) -> Tensor:
         """The same, branch by branch as the paper draws it."""
-        result = torch.stack([branch(planes_nchw) for branch in self.convolutions]).sum(0)
+        result = torch.stack([branch(planes_nchw) for branch in self.branches()]).sum(0)
         if self.identity:
             result = result + planes_nchw
         return F.relu(result) if self.activation else result

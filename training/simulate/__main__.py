@@ -15,7 +15,7 @@ The training set of the bundled models::
 from __future__ import annotations
 
 import sys
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -33,7 +33,7 @@ from stillray.training.simulate.sequence import (
 )
 from stillray.training.simulate.variant import load_mitsuba
 
-_DEFAULT = {field.name: field.default for field in fields(SequenceOptions)}
+_DEFAULT = SequenceOptions()
 
 
 def simulate(
@@ -42,14 +42,14 @@ def simulate(
     count: Annotated[int, typer.Option(help="How often each scene is opened, a seed each.")] = 1,
     views: Annotated[int, typer.Option(help="Sequences each time, from other cameras.")] = 1,
     first_seed: Annotated[int, typer.Option(help="Seed of the first sequence.")] = 0,
-    frames: int = _DEFAULT["frames"],
-    height: int = _DEFAULT["height"],
-    width: int = _DEFAULT["width"],
-    spp: int = _DEFAULT["spp"],
-    reference_spp: int = _DEFAULT["reference_spp"],
-    references: int = _DEFAULT["references"],
-    speed: float = _DEFAULT["speed"],
-    max_depth: int = _DEFAULT["max_depth"],
+    frames: int = _DEFAULT.frames,
+    height: int = _DEFAULT.height,
+    width: int = _DEFAULT.width,
+    spp: int = _DEFAULT.spp,
+    reference_spp: int = _DEFAULT.reference_spp,
+    references: int = _DEFAULT.references,
+    speed: float = _DEFAULT.speed,
+    max_depth: int = _DEFAULT.max_depth,
     variant: Annotated[str | None, typer.Option(help="Mitsuba variant; default: chosen.")] = None,
 ) -> None:
     """Render noisy 1-spp sequences, their features and references; resumes after a kill."""
