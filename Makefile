@@ -22,7 +22,7 @@ check: $(FULL)/.ready
 	MYPYPATH=build/typed $(FULL)/bin/mypy -p stillray
 
 benchmark: $(FULL)/.ready
-	$(FULL)/bin/python -m stillray.training.benchmark
+	$(FULL)/bin/python -m stillray.training.benchmark --report docs/performance.md
 
 $(RUNTIME)/.ready: pyproject.toml
 	@echo "installing the runtime (numpy, onnxruntime, OpenCV, OpenImageIO; no torch) into $(RUNTIME)"

@@ -9,7 +9,6 @@ neither is written unless `stillray.export.parity` finds that all forms agree.
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,6 +18,7 @@ import torch
 import typer
 from torch import Tensor, nn
 
+from stillray.cli import program
 from stillray.errors import InputError
 from stillray.export import parity
 from stillray.export.fuse import fuse
@@ -159,10 +159,4 @@ def main(
 
 
 if __name__ == "__main__":
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command()(main)
-    try:
-        app()
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+    program.run(main)

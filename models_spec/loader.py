@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
+from stillray.errors import InputError
+
 FORMAT = 1
 
 #: Every network input plane by name, in the order that `stillray.encode` describes them.
@@ -27,7 +29,7 @@ BUFFERS = ("color", "albedo", "normal", "depth", "motion", "color_b", "jitter")
 FAMILIES = ("weight-sharing-kernels",)
 
 
-class SpecError(ValueError):
+class SpecError(InputError):
     """A specification that cannot be used: the message names the key and the rule."""
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import statistics
-import sys
 import time
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +11,7 @@ import cv2
 import numpy as np
 import typer
 
+from stillray.cli import program
 from stillray.denoiser import Denoiser
 from stillray.errors import InputError
 from stillray.exr import atomic_path, read_channels, read_exr, write_exr
@@ -73,12 +73,8 @@ def main(
     model: Annotated[str, typer.Option(help="Quality, model name or .onnx.")] = "balanced",
 ) -> None:
     """Denoise a sequence that has a reference, and show what came of it."""
-    try:
-        run(sequence, out, model)
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
+    run(sequence, out, model)
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    program.run(main)

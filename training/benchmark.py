@@ -14,8 +14,9 @@ import sys
 import time
 from collections.abc import Callable
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -23,10 +24,12 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
+from stillray.cli import program
 from stillray.denoiser import Denoiser
-from stillray.exr import read_exr
+from stillray.exr import atomic_path, read_exr
 from stillray.frame import Frame
-from stillray.registry import list_models
+from stillray.models_spec import ModelSpec
+from stillray.registry import find_model, list_models
 from stillray.strips import available_threads
 from stillray.training.peers import OIDN_QUALITIES, open_image_denoise
 
@@ -73,7 +76,9 @@ def method(name: str, frames: list[Frame]) -> Callable[[int], object]:
     return lambda turn: denoiser.denoise(frames[turn % 2])
 
 
-def measure(frames: list[Frame], rounds: int) -> tuple[dict[str, list[float]], list[dict]]:
+def measure(
+    frames: list[Frame], rounds: int
+) -> tuple[dict[str, list[float]], list[dict[str, Any]]]:
     """Milliseconds of each method in each round, and stage timings of our models."""
     names = [info.name for info in list_models()] + [f"OIDN {q}" for q in OIDN_QUALITIES]
     made = {name: method(name, frames) for name in names}
@@ -101,6 +106,15 @@ def measure(frames: list[Frame], rounds: int) -> tuple[dict[str, list[float]], l
     return times, stages
 
 
+def peak_resident() -> float:
+    """Peak resident MiB of this process."""
+    status = Path("/proc/self/status")
+    if status.is_file():  # getrusage counts the parent's memory at the fork too
+        return float(status.read_text().split("VmHWM:")[1].split()[0]) / 1024
+    unit = 1 << 20 if sys.platform == "darwin" else 1 << 10
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+
+
 def peak_memory(method: str, height: int, width: int, sequence: Path) -> float:
     """Peak resident MiB of a process that runs one method three times."""
     result = subprocess.run(
@@ -124,11 +138,82 @@ def peak_memory(method: str, height: int, width: int, sequence: Path) -> float:
     return float(result.stdout)
 
 
+def machine_peaks() -> tuple[float, float]:
+    """GFLOP/s of a float32 matrix product and GB/s of a copy, each the best of a few."""
+    matrix = np.ones((2048, 2048), np.float32)
+    big = np.ones(1 << 26, np.float32)  # 256 MiB: beyond every cache
+    target = np.empty_like(big)
+    products, copies = [], []
+    for _ in range(5):
+        start = time.perf_counter()
+        matrix @ matrix
+        products.append(time.perf_counter() - start)
+        start = time.perf_counter()
+        np.copyto(target, big)
+        copies.append(time.perf_counter() - start)
+    return 2e-9 * 2048**3 / min(products), 2e-9 * big.nbytes / min(copies)
+
+
+def network_gflop(spec: ModelSpec, pixels: int) -> float:
+    """Operations of a fused network, two for every multiply and add."""
+    widths = (len(spec.network.features), *spec.network.widths, 2 * len(spec.decoder.kernel_sizes))
+    products = sum(a * b for a, b in pairwise(widths)) * spec.network.kernel_size**2
+    return 2e-9 * products * pixels
+
+
+def write_report(
+    times: dict[str, list[float]],
+    stages: list[dict[str, Any]],
+    peaks: dict[str, float],
+    size: tuple[int, int],
+) -> str:
+    """The figures as Markdown."""
+    medians = {name: float(np.median(values)) for name, values in times.items()}
+    height, width = size
+    rounds = len(next(iter(times.values())))
+    gflops, bandwidth = machine_peaks()
+    lines = [
+        "# Time and memory",
+        "",
+        "Written by `python -m stillray.training.benchmark --report docs/performance.md`.",
+        "",
+        f"{platform.machine()}, {available_threads()} threads, NumPy's matrix product "
+        f"{gflops:.0f} GFLOP/s, copy {bandwidth:.0f} GB/s; onnxruntime {version('onnxruntime')}, "
+        f"opencv {cv2.__version__}, pyoidn {version('pyoidn')}. {width}x{height}, "
+        f"{rounds} rounds, the methods in turn in one process, all stages included. Peak memory "
+        "is that of a process with this method alone; net is over the buffers and the libraries.",
+        "",
+        "| method | median ms | min | max | / OIDN fast | / OIDN high | peak MiB | net MiB |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, median in medians.items():
+        lines.append(
+            f"| {name} | {median:.0f} | {min(times[name]):.0f} | {max(times[name]):.0f} "
+            f"| {median / medians['OIDN fast']:.2f} | {median / medians['OIDN high']:.2f} "
+            f"| {peaks[name]:.0f} | {peaks[name] - peaks[NOTHING]:.0f} |"
+        )
+    names = list(stages[0])[1:]
+    lines += ["", "Median milliseconds of each stage:", ""]
+    lines += ["| model | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
+    for row in stages:
+        lines.append(f"| {row['model']} | " + " | ".join(f"{row[n]:.1f}" for n in names) + " |")
+    lines += ["", "The network against its floor, operations over the matrix product's rate:", ""]
+    for row in stages:
+        work = network_gflop(find_model(row["model"]).spec, height * width)
+        floor = 1e3 * work / gflops
+        lines.append(
+            f"- {row['model']}: {work:.1f} GFLOP, floor {floor:.0f} ms, "
+            f"taken {row['network']:.0f} ms ({row['network'] / floor:.2f} times the floor)"
+        )
+    return "\n".join(lines) + "\n"
+
+
 def main(
     height: Annotated[int, typer.Option(min=1)] = 720,
     width: Annotated[int, typer.Option(min=1)] = 1280,
     rounds: Annotated[int, typer.Option(min=1)] = 11,
     sequence: Annotated[Path, typer.Option(help="Folder with frames to tile.")] = SEQUENCE,
+    report: Annotated[Path | None, typer.Option(help="Write the figures as Markdown.")] = None,
     only: Annotated[str, typer.Option(hidden=True)] = "",
 ) -> None:
     """Print times, ratios, stages and memory."""
@@ -137,31 +222,16 @@ def main(
         run = method(only, frames)
         for turn in range(3):
             run(turn)
-        print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+        print(peak_resident())
         return
     times, stages = measure(frames, rounds)
-    medians = {name: float(np.median(values)) for name, values in times.items()}
-    print(
-        f"{platform.processor() or platform.machine()}, {available_threads()} threads, "
-        f"onnxruntime {version('onnxruntime')}, opencv {cv2.__version__}, "
-        f"pyoidn {version('pyoidn')}; {width}x{height}, {rounds} rounds in turn\n"
-    )
-    base = peak_memory(NOTHING, height, width, sequence)
-    print("| method | median ms | min | max | / OIDN fast | / OIDN high | peak MiB | net MiB |")
-    print("|---|---|---|---|---|---|---|---|")
-    for name, median in medians.items():
-        peak = peak_memory(name, height, width, sequence)
-        print(
-            f"| {name} | {median:.0f} | {min(times[name]):.0f} | {max(times[name]):.0f} "
-            f"| {median / medians['OIDN fast']:.2f} | {median / medians['OIDN high']:.2f} "
-            f"| {peak:.0f} | {peak - base:.0f} |"
-        )
-    names = list(stages[0])[1:]
-    print("\n| stage, median ms | " + " | ".join(names) + " |")
-    print("|---" * (len(names) + 1) + "|")
-    for row in stages:
-        print(f"| {row['model']} | " + " | ".join(f"{row[name]:.1f}" for name in names) + " |")
+    peaks = {name: peak_memory(name, height, width, sequence) for name in (NOTHING, *times)}
+    text = write_report(times, stages, peaks, (height, width))
+    print(text)
+    if report is not None:
+        with atomic_path(report) as temporary:
+            temporary.write_text(text)
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    program.run(main)

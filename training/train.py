@@ -22,9 +22,10 @@ from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from stillray.cli import program
 from stillray.errors import InputError
 from stillray.exr import atomic_path
-from stillray.models_spec import ModelSpec, SpecError, load
+from stillray.models_spec import ModelSpec, load
 from stillray.strips import Strips
 from stillray.training.dataset import Batch, Example, PatchSampler, find_sequences, load_examples
 from stillray.training.decoders import fused_kernels
@@ -220,10 +221,4 @@ def without_branches(spec: ModelSpec) -> ModelSpec:
 
 
 if __name__ == "__main__":
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command()(main)
-    try:
-        app()
-    except (InputError, SpecError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+    program.run(main)

@@ -23,7 +23,7 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from stillray.errors import InputError
+from stillray.cli import program
 from stillray.training.simulate.sequence import (
     ROOM,
     SequenceOptions,
@@ -83,10 +83,4 @@ def simulate(
 
 
 if __name__ == "__main__":
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command()(simulate)
-    try:
-        app()
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+    program.run(simulate)
