@@ -7,7 +7,7 @@ Denoise is fed the raw frame, as its users do, and the accumulated one, as ours 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -54,9 +54,21 @@ def find_scenes(folder: Path) -> list[Path]:
 
 
 def evaluate_scene(
-    scene: Path, models: list[str], *, peers: bool, pictures: Path | None = None
+    scene: Path, models: Mapping[str, str], *, peers: bool, pictures: Path | None = None
 ) -> Iterator[tuple[str, dict[str, float]]]:
-    """Method name and metrics, one after the other, of a sequence's last referenced frame."""
+    """Method name and metrics, one after the other, of a sequence's last referenced frame.
+
+    Parameters
+    ----------
+    scene
+        Folder of the sequence.
+    models
+        Label to model, as `stillray.Denoiser` takes it.
+    peers
+        Run Open Image Denoise too.
+    pictures
+        Folder for tone-mapped PNGs.
+    """
     reference_path = sorted(scene.glob("ref_*.exr"))[-1]
     last = scene / reference_path.name.replace("ref", "frame")
     frames = [read_exr(path) for path in sorted(scene.glob("frame_*.exr")) if path <= last]
@@ -72,14 +84,14 @@ def evaluate_scene(
 
     frame = frames[-1]
     yield scored("noisy", frame.color)
-    accumulated = accumulate_frames(frames, models[0])
+    accumulated = accumulate_frames(frames, next(iter(models.values())))
     yield scored("accumulated", accumulated)
-    for model in models:
+    for label, model in models.items():
         for temporal in (True, False):
             with Denoiser(model, temporal=temporal) as denoiser:
                 for each in frames if temporal else frames[-1:]:
                     image = denoiser.denoise(each)
-            yield scored(model if temporal else f"{model}, one frame", image)
+            yield scored(label if temporal else f"{label}, one frame", image)
     if peers:
         for source, color in (("", frame.color), (", accumulated", accumulated)):
             for quality in OIDN_QUALITIES:
@@ -101,7 +113,7 @@ def accumulate_frames(frames: list[Frame], model: str) -> np.ndarray:
 
 def evaluate_folder(
     folder: Path,
-    models: list[str],
+    models: Mapping[str, str],
     *,
     peers: bool,
     pictures: Path | None = None,
@@ -161,15 +173,19 @@ def _picture(
 
 def main(
     folder: Annotated[Path, typer.Argument(help="Folder of sequences with references.")],
-    model: Annotated[list[str] | None, typer.Option(help="Model or .onnx; default: all.")] = None,
+    model: Annotated[
+        list[str] | None,
+        typer.Option(help="Model, .onnx, or LABEL=one of them; repeatable; default: all."),
+    ] = None,
     peers: Annotated[bool, typer.Option(help="Run Open Image Denoise beside.")] = True,
     out: Annotated[Path | None, typer.Option(help="Write scores as JSON.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write the tables as Markdown.")] = None,
     pictures: Annotated[Path | None, typer.Option(help="Folder for tone-mapped PNGs.")] = None,
 ) -> None:
     """Print metrics per scene and their means."""
-    models = model or [info.name for info in list_models()]
-    for name in models:
+    given = model or [info.name for info in list_models()]
+    models = {text.split("=")[0]: text.split("=")[-1] for text in given}
+    for name in models.values():
         find_model(name)
     scores = evaluate_folder(
         folder,
