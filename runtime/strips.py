@@ -15,6 +15,7 @@ import numpy as np
 # 512 KiB a float32 plane. Smaller strips stay in a nearer cache, but each has a price: a call on
 # a thread, the rows that a filter reads beyond it. 1 << 15 was measured a third slower.
 STRIP_PIXELS = 1 << 17
+LEAST_ROWS = 32
 
 
 class Strips:
@@ -27,6 +28,7 @@ class Strips:
     """
 
     def __init__(self, threads: int) -> None:
+        self._threads = threads
         self._pool = ThreadPoolExecutor(threads, "stillray") if threads > 1 else None
 
     def run(self, work: Callable[[slice], None], height: int, width: int) -> None:
@@ -34,7 +36,9 @@ class Strips:
 
         Calls may run at the same time, on several threads.
         """
-        rows = max(1, STRIP_PIXELS // width)
+        # a small frame is shared among all threads, though not in slivers
+        share = max(-(-height // self._threads), LEAST_ROWS)
+        rows = max(1, min(STRIP_PIXELS // width, share))
         strips = [slice(top, min(top + rows, height)) for top in range(0, height, rows)]
         if self._pool is None or len(strips) == 1:
             for strip in strips:

@@ -19,7 +19,7 @@ from rich.progress import track
 from stillray.cli import program
 from stillray.denoiser import Denoiser, History, prepare
 from stillray.errors import InputError
-from stillray.exr import atomic_path, read_channels, read_exr
+from stillray.exr import atomic_path, read_exr
 from stillray.frame import Frame
 from stillray.registry import find_model, list_models
 from stillray.strips import Strips
@@ -35,10 +35,11 @@ them, and "one frame" says where not. PSNR, SSIM and FLIP after exposure to a me
 power of 1 / 2.2, SMAPE and relative MSE of exposed radiance. No model was trained on these scenes;
 the outlier ratio and the albedo floor of the specs were chosen on them, so read these figures as
 validation, not as a test. OIDN is Open Image Denoise with albedo and normal, fed the raw frame, or
-the frame as accumulated for our kernels.
+the frame as accumulated for our kernels. Flicker is the mean absolute error of the tone-mapped
+difference between the last two frames.
 
 """
-METRICS = ("psnr", "ssim", "smape", "relmse", "flip")
+METRICS = ("psnr", "ssim", "smape", "relmse", "flip", "flicker")
 
 
 def find_scenes(folder: Path) -> list[Path]:
@@ -69,46 +70,56 @@ def evaluate_scene(
     pictures
         Folder for tone-mapped PNGs.
     """
-    reference_path = sorted(scene.glob("ref_*.exr"))[-1]
-    last = scene / reference_path.name.replace("ref", "frame")
+    reference_paths = sorted(scene.glob("ref_*.exr"))
+    last = scene / reference_paths[-1].name.replace("ref", "frame")
     frames = [read_exr(path) for path in sorted(scene.glob("frame_*.exr")) if path <= last]
-    channels = read_channels(reference_path)
-    reference = np.stack([channels[name] for name in "RGB"], axis=-1)
+    reference = read_exr(reference_paths[-1]).color
+    before = scene / f"ref_{len(frames) - 2:04d}.exr"
+    reference_before = read_exr(before).color if before in reference_paths else None
     if pictures:
         _picture(pictures, scene.name, "reference", reference, reference)
 
-    def scored(name: str, image: np.ndarray) -> tuple[str, dict[str, float]]:
+    def scored(name: str, images: list[np.ndarray]) -> tuple[str, dict[str, float]]:
         if pictures:
-            _picture(pictures, scene.name, name, image, reference)
-        return name, metrics.evaluate(image, reference)
+            _picture(pictures, scene.name, name, images[-1], reference)
+        values = metrics.evaluate(images[-1], reference)
+        if reference_before is not None:
+            values["flicker"] = metrics.flicker(images[-2], images[-1], reference_before, reference)
+        return name, values
 
-    frame = frames[-1]
-    yield scored("noisy", frame.color)
+    yield scored("noisy", [frame.color for frame in frames])
     accumulated = accumulate_frames(frames, next(iter(models.values())))
     yield scored("accumulated", accumulated)
     for label, model in models.items():
-        for temporal in (True, False):
-            with Denoiser(model, temporal=temporal) as denoiser:
-                for each in frames if temporal else frames[-1:]:
-                    image = denoiser.denoise(each)
-            yield scored(label if temporal else f"{label}, one frame", image)
+        with Denoiser(model) as denoiser:
+            yield scored(label, [denoiser.denoise(frame) for frame in frames])
+        with Denoiser(model, temporal=False) as denoiser:
+            images = [denoiser.denoise(frame) for frame in frames[-2:]]
+            yield scored(f"{label}, one frame", images)
     if peers:
-        for source, color in (("", frame.color), (", accumulated", accumulated)):
+        for source, colors in (
+            ("", [frame.color for frame in frames[-2:]]),
+            (", accumulated", accumulated[-2:]),
+        ):
             for quality in OIDN_QUALITIES:
-                image = open_image_denoise(color, frame.albedo, frame.normal, quality)
-                yield scored(f"OIDN {quality}{source}", image)
+                images = [
+                    open_image_denoise(color, frame.albedo, frame.normal, quality)
+                    for color, frame in zip(colors, frames[-2:], strict=True)
+                ]
+                yield scored(f"OIDN {quality}{source}", images)
 
 
-def accumulate_frames(frames: list[Frame], model: str) -> np.ndarray:
-    """Radiance of the last frame as a model's kernels get it: accumulated, not filtered."""
+def accumulate_frames(frames: list[Frame], model: str) -> list[np.ndarray]:
+    """Radiance of each frame as a model's kernels get it: accumulated, not filtered."""
     spec = find_model(model).spec
     history: History | None = None
+    images = []
     for frame in frames:
         prepared = prepare(frame, spec, history, Strips(1), {})
         history = prepared.history
-    assert history is not None
-    mean = history.mean[..., :3]
-    return mean if prepared.divisor is None else mean * prepared.divisor
+        mean = history.mean[..., :3]
+        images.append(mean if prepared.divisor is None else mean * prepared.divisor)
+    return images
 
 
 def evaluate_folder(
@@ -130,12 +141,12 @@ def evaluate_folder(
 
 def mean_scores(scores: Scores) -> dict[str, dict[str, float]]:
     """Mean over scenes, a row a method."""
-    return {
-        method: {
-            name: float(np.mean([values[name] for values in scenes.values()])) for name in METRICS
-        }
-        for method, scenes in scores.items()
-    }
+    means = {}
+    for method, scenes in scores.items():
+        rows = list(scenes.values())
+        names = [name for name in METRICS if all(name in row for row in rows)]
+        means[method] = {name: float(np.mean([row[name] for row in rows])) for name in names}
+    return means
 
 
 def markdown(scores: Scores) -> str:
@@ -149,13 +160,14 @@ def markdown(scores: Scores) -> str:
 
 def _table(title: str, rows: dict[str, dict[str, float]]) -> str:
     lines = [
-        f"| {title} | PSNR dB ↑ | SSIM ↑ | SMAPE ↓ | relative MSE ↓ | FLIP ↓ |",
-        "|---|---|---|---|---|---|",
+        f"| {title} | PSNR dB ↑ | SSIM ↑ | SMAPE ↓ | relative MSE ↓ | FLIP ↓ | flicker ↓ |",
+        "|---|---|---|---|---|---|---|",
     ]
     for method, row in rows.items():
         lines.append(
             f"| {method} | {row['psnr']:.2f} | {row['ssim']:.3f} | {row['smape']:.4f} "
-            f"| {row['relmse']:.3g} | {row['flip']:.3f} |"
+            f"| {row['relmse']:.3g} | {row['flip']:.3f} "
+            + (f"| {row['flicker']:.4f} |" if "flicker" in row else "| |")
         )
     return "\n".join(lines) + "\n"
 

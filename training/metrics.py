@@ -57,3 +57,26 @@ def evaluate(image: np.ndarray, reference: np.ndarray) -> dict[str, float]:
         "relmse": float(np.mean((a - b) ** 2 / (b**2 + RELATIVE_MSE_EPSILON))),
         "flip": float(flip),
     }
+
+
+def flicker(
+    before: np.ndarray, image: np.ndarray, reference_before: np.ndarray, reference: np.ndarray
+) -> float:
+    """Mean absolute error of the tone-mapped difference between two consecutive frames.
+
+    Parameters
+    ----------
+    before, image : (h, w, 3) float32
+        Scene-linear radiance of the two frames.
+    reference_before, reference : (h, w, 3) float32
+        Their references; both pairs are exposed for ``reference``.
+
+    Returns
+    -------
+    float
+        In [0, 2]; 0 where the image changes exactly as it should.
+    """
+    exposure = display_exposure(reference)
+    change = tone_map(image, exposure) - tone_map(before, exposure)
+    wanted = tone_map(reference, exposure) - tone_map(reference_before, exposure)
+    return float(np.mean(np.abs(change - wanted)))
