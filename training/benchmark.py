@@ -169,6 +169,11 @@ def write_report(
 ) -> str:
     """The figures as Markdown."""
     medians = {name: float(np.median(values)) for name, values in times.items()}
+
+    def paired(name: str, peer: str) -> float:
+        # round by round: a machine whose speed drifts slows both
+        return float(np.median(np.array(times[name]) / np.array(times[peer])))
+
     height, width = size
     rounds = len(next(iter(times.values())))
     gflops, bandwidth = machine_peaks()
@@ -180,8 +185,9 @@ def write_report(
         f"{platform.machine()}, {available_threads()} threads, NumPy's matrix product "
         f"{gflops:.0f} GFLOP/s, copy {bandwidth:.0f} GB/s; onnxruntime {version('onnxruntime')}, "
         f"opencv {cv2.__version__}, pyoidn {version('pyoidn')}. {width}x{height}, "
-        f"{rounds} rounds, the methods in turn in one process, all stages included. Peak memory "
-        "is that of a process with this method alone; net is over the buffers and the libraries.",
+        f"{rounds} rounds, the methods in turn in one process, all stages included; ratios are "
+        "medians over the rounds. Peak memory is that of a process with this method alone; net is "
+        "over the buffers and the libraries.",
         "",
         "| method | median ms | min | max | / OIDN fast | / OIDN high | peak MiB | net MiB |",
         "|---|---|---|---|---|---|---|---|",
@@ -189,7 +195,7 @@ def write_report(
     for name, median in medians.items():
         lines.append(
             f"| {name} | {median:.0f} | {min(times[name]):.0f} | {max(times[name]):.0f} "
-            f"| {median / medians['OIDN fast']:.2f} | {median / medians['OIDN high']:.2f} "
+            f"| {paired(name, 'OIDN fast'):.2f} | {paired(name, 'OIDN high'):.2f} "
             f"| {peaks[name]:.0f} | {peaks[name] - peaks[NOTHING]:.0f} |"
         )
     names = list(stages[0])[1:]
