@@ -14,7 +14,7 @@ import typer
 from stillray.cli import program
 from stillray.denoiser import Denoiser
 from stillray.errors import InputError
-from stillray.exr import atomic_path, read_channels, read_exr, write_exr
+from stillray.exr import atomic_path, read_exr, write_exr
 
 
 def run(sequence: Path, out: Path, model: str) -> None:
@@ -44,8 +44,7 @@ def run(sequence: Path, out: Path, model: str) -> None:
             print(f"{path.name} -> {target}  {times[-1]:.1f} ms")
             if path == last:
                 break
-    channels = read_channels(references[-1])
-    reference = np.stack([channels[name] for name in "RGB"], axis=-1)
+    reference = read_exr(references[-1]).color
     # exposed and tone-mapped as the project's validation does
     exposure = min(8.0, 0.2 / max(float(np.median(reference.mean(axis=-1))), 1e-9))
     shown = [

@@ -309,7 +309,8 @@ def prepare(
             np.divide(color[rows], divide_by[rows], out=irradiance[rows])
         light[rows] = encode.luminance(irradiance[rows])
 
-    with timed(timings, "demodulate"):
+    # without albedo only the luminance is taken, which exposure needs
+    with timed(timings, "expose" if albedo is None else "demodulate"):
         strips.run(demodulate, height, width)
     if history is not None and history.mean.shape[:2] != frame.shape:
         history = None

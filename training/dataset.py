@@ -15,7 +15,7 @@ import numpy as np
 
 from stillray import encode
 from stillray.denoiser import History, prepare
-from stillray.exr import read_channels, read_exr
+from stillray.exr import read_exr
 from stillray.models_spec import ModelSpec
 from stillray.strips import Strips
 from stillray.training.simulate.sequence import is_complete
@@ -60,8 +60,7 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> Iterator[E
     (reference_path,) = sorted(sequence.glob("ref_*.exr"))[-1:]
     paths = sorted(sequence.glob("frame_*.exr"))
     frames = [read_exr(path) for path in paths]
-    channels = read_channels(reference_path)
-    reference = np.stack([channels[name] for name in "RGB"], axis=-1)
+    reference = read_exr(reference_path).color
     for count in STARTS:
         history: History | None = None
         for frame in frames[-count:]:
