@@ -13,8 +13,9 @@ import typer
 
 from stillray.cli import program
 from stillray.denoiser import Denoiser
+from stillray.display import display_exposure, tone_map, write_png
 from stillray.errors import InputError
-from stillray.exr import atomic_path, read_exr, write_exr
+from stillray.exr import read_exr, write_exr
 
 
 def run(sequence: Path, out: Path, model: str) -> None:
@@ -45,15 +46,10 @@ def run(sequence: Path, out: Path, model: str) -> None:
             if path == last:
                 break
     reference = read_exr(references[-1]).color
-    # exposed and tone-mapped as the project's validation does
-    exposure = min(8.0, 0.2 / max(float(np.median(reference.mean(axis=-1))), 1e-9))
-    shown = [
-        np.clip(image * exposure, 0, 1) ** (1 / 2.2) for image in (frame.color, clean, reference)
-    ]
+    exposure = display_exposure(reference)
+    shown = [tone_map(image, exposure) for image in (frame.color, clean, reference)]
     picture = out / "side_by_side.png"
-    with atomic_path(picture) as temporary:
-        pixels = np.rint(np.hstack(shown)[..., ::-1] * 255).astype(np.uint8)
-        temporary.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+    write_png(picture, np.hstack(shown))
     before, after = (
         cv2.PSNR(image.astype(np.float64), shown[2].astype(np.float64), 1.0) for image in shown[:2]
     )

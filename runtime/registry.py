@@ -63,13 +63,13 @@ def find_model(name: str | os.PathLike[str]) -> ModelInfo:
     InputError
         There is no such model: the message lists those there are.
     """
+    path = Path(name)
+    if path.suffix == ".onnx":
+        return read_model(path)
     models = list_models()
     for model in models:
         if name == model.name or name in model.aliases:
             return model
-    path = Path(name)
-    if path.suffix == ".onnx":
-        return read_model(path)
     known = [model.name for model in models] + [a for model in models for a in model.aliases]
     raise InputError(
         f"model must be one of {', '.join(known)} or the path of an .onnx file, got {name}"

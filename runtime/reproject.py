@@ -94,11 +94,10 @@ def reproject(
 
     A tap counts when it lies in the frame and shows the same surface: its normal within
     ``normal_cosine`` of the current pixel's, and the deeper of both at most ``1 + depth_ratio``
-    times as deep as the other. The
-    weights of the accepted taps are normalised, so that one good tap is enough; the sample count
-    is scaled by the accepted share, so that a pixel at a disocclusion does not claim more than
-    it has (Fan et al. 2021, section 4.1; differs: per tap, as in Schied et al. 2017, section 4.1,
-    and no world positions are needed).
+    times as deep as the other. The weights of the accepted taps are normalised, so that one good
+    tap is enough; the sample count is scaled by the accepted share, so that a pixel at a
+    disocclusion does not claim more than it has (Fan et al. 2021, section 4.1; differs: per tap,
+    as in Schied et al. 2017, section 4.1, and no world positions are needed).
 
     Most pixels look back at one smooth surface, where the four taps share their fate and one
     interpolation answers for them all; only the others are taken apart.

@@ -45,6 +45,10 @@ def plan(frame: Frame, spec: ModelSpec, *, has_history: bool, temporal: bool) ->
         past, why = True, "history and motion are there"
     albedo = frame.albedo is not None
     geometry = temporal and (frame.normal is not None or frame.depth is not None)
+    if geometry:
+        why_guides = "normal or depth tell surfaces apart"
+    else:
+        why_guides = "no normal or depth given" if temporal else why
     return [
         Stage(
             "repair",
@@ -53,15 +57,7 @@ def plan(frame: Frame, spec: ModelSpec, *, has_history: bool, temporal: bool) ->
         ),
         Stage("demodulate", albedo, "albedo is given" if albedo else "no albedo given"),
         Stage("expose", True, "features are relative to the frame's brightness"),
-        Stage(
-            "guides",
-            geometry,
-            "normal or depth tell surfaces apart"
-            if geometry
-            else "no normal or depth given"
-            if temporal
-            else why,
-        ),
+        Stage("guides", geometry, why_guides),
         Stage(
             "warp",
             past and moving,

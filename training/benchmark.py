@@ -94,14 +94,12 @@ def measure(
     stages = []
     for info in list_models():
         with Denoiser(info.name) as denoiser:
-            collected: dict[str, list[float]] = {}
+            rows = []
             for turn in range(rounds + 2):
                 denoiser.denoise(frames[turn % 2])
-                for stage, value in denoiser.last_timings.items():
-                    collected.setdefault(stage, []).append(value)
-        medians = {
-            stage: float(np.median(values[2:] or values)) for stage, values in collected.items()
-        }
+                rows.append(denoiser.last_timings)
+        warm = rows[2:]
+        medians = {stage: float(np.median([row[stage] for row in warm])) for stage in warm[0]}
         stages.append({"model": info.name, **medians})
     return times, stages
 

@@ -18,6 +18,7 @@ from rich.progress import track
 
 from stillray.cli import program
 from stillray.denoiser import Denoiser, History, prepare
+from stillray.display import display_exposure, tone_map, write_png
 from stillray.errors import InputError
 from stillray.exr import atomic_path, read_exr
 from stillray.frame import Frame
@@ -72,10 +73,11 @@ def evaluate_scene(
     """
     reference_paths = sorted(scene.glob("ref_*.exr"))
     last = scene / reference_paths[-1].name.replace("ref", "frame")
-    frames = [read_exr(path) for path in sorted(scene.glob("frame_*.exr")) if path <= last]
+    paths = [path for path in sorted(scene.glob("frame_*.exr")) if path <= last]
+    frames = [read_exr(path) for path in paths]
     reference = read_exr(reference_paths[-1]).color
-    before = scene / f"ref_{len(frames) - 2:04d}.exr"
-    reference_before = read_exr(before).color if before in reference_paths else None
+    before = [scene / path.name.replace("frame", "ref") for path in paths[-2:-1]]
+    reference_before = read_exr(before[0]).color if set(before) & set(reference_paths) else None
     if pictures:
         _picture(pictures, scene.name, "reference", reference, reference)
 
@@ -175,12 +177,9 @@ def _table(title: str, rows: dict[str, dict[str, float]]) -> str:
 def _picture(
     folder: Path, scene: str, method: str, image: np.ndarray, reference: np.ndarray
 ) -> None:
-    import cv2
-
     folder.mkdir(parents=True, exist_ok=True)
-    shown = metrics.tone_map(image, metrics.display_exposure(reference))
     name = f"{scene}-{method.replace(', ', '-').replace(' ', '-')}.png"
-    cv2.imwrite(str(folder / name), np.rint(shown[..., ::-1] * 255).astype(np.uint8))
+    write_png(folder / name, tone_map(image, display_exposure(reference)))
 
 
 def main(

@@ -7,20 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-MAX_EXPOSURE = 8.0
+from stillray.display import display_exposure, tone_map
+
 SMAPE_EPSILON = 0.01  # exposed radiance (Fan et al. 2021, eq. 6)
 RELATIVE_MSE_EPSILON = 0.01  # exposed radiance, squared units
-
-
-def display_exposure(reference: np.ndarray) -> float:
-    """``min(8, 0.2 / median of the reference's mean radiance)``."""
-    median = float(np.median(reference.mean(axis=-1)))
-    return min(MAX_EXPOSURE, 0.2 / median) if median > 0 else MAX_EXPOSURE
-
-
-def tone_map(radiance: np.ndarray, exposure: float) -> np.ndarray:
-    """Expose, clip to [0, 1], power 1 / 2.2."""
-    return np.clip(radiance * exposure, 0, 1) ** (1 / 2.2)
 
 
 def evaluate(image: np.ndarray, reference: np.ndarray) -> dict[str, float]:

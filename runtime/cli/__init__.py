@@ -12,9 +12,8 @@ import typer
 from stillray.cli.denoise import denoise
 from stillray.cli.info import info
 from stillray.cli.models import models
+from stillray.cli.program import BAD_INPUT, DONE, FAILED, complain
 from stillray.errors import InputError
-
-DONE, FAILED, BAD_INPUT = 0, 1, 2
 
 
 def build_app() -> typer.Typer:
@@ -51,18 +50,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = command.main(args=given or ["--help"], prog_name="stillray", standalone_mode=False)
         sys.stdout.flush()  # a closed pipe shows here, not on the interpreter's way out
     except InputError as error:
-        return _complain(str(error), BAD_INPUT)
+        return complain(str(error), BAD_INPUT)
     except _usage_error() as error:
-        return _complain(error.format_message(), BAD_INPUT)
+        return complain(error.format_message(), BAD_INPUT)
     except (typer.Abort, KeyboardInterrupt):
-        return _complain("interrupted", FAILED)
+        return complain("interrupted", FAILED)
     except BrokenPipeError:  # the reader, such as `head`, has had enough
         # the interpreter flushes once more when it ends: let that go nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except Exception as error:
         traceback.print_exc()
-        return _complain(f"unexpected {type(error).__name__}: {error}", FAILED)
+        return complain(f"unexpected {type(error).__name__}: {error}", FAILED)
     return code if isinstance(code, int) else DONE
 
 
@@ -70,11 +69,6 @@ def _usage_error() -> type[typer.BadParameter]:
     # The base of all usage errors has no public name that all versions of typer share.
     bases = [base for base in typer.BadParameter.__mro__ if hasattr(base, "format_message")]
     return bases[-1]
-
-
-def _complain(message: str, code: int) -> int:
-    print("error: " + " ".join(message.split()), file=sys.stderr)
-    return code
 
 
 def _print_version(wanted: bool) -> None:

@@ -1,4 +1,4 @@
-"""Programs run with ``python -m``: options from a function's signature, errors in one line."""
+"""How programs end: errors in one line, exit codes 0 done, 1 failed, 2 bad usage or input."""
 
 from __future__ import annotations
 
@@ -9,13 +9,23 @@ import typer
 
 from stillray.errors import InputError
 
+DONE, FAILED, BAD_INPUT = 0, 1, 2
+
 
 def run(function: Callable[..., None]) -> None:
-    """Run a function as a program; bad input ends it with one line and exit code 2."""
+    """Run a function as a program of ``python -m``: its signature gives the options.
+
+    Bad input ends it with one line and exit code 2.
+    """
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     app.command()(function)
     try:
         app()
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+        sys.exit(complain(str(error), BAD_INPUT))
+
+
+def complain(message: str, code: int) -> int:
+    """Print an error as one line on standard error; the exit code is given back."""
+    print("error: " + " ".join(message.split()), file=sys.stderr)
+    return code
