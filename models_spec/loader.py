@@ -12,6 +12,7 @@ import json
 import tomllib
 import types
 import typing
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any
@@ -24,9 +25,17 @@ FORMAT = 1
 FEATURES = (
     "irradiance.r", "irradiance.g", "irradiance.b", "local_luminance", "samples",
     "albedo.r", "albedo.g", "albedo.b", "normal.x", "normal.y", "normal.z", "depth",
+    "previous.r", "previous.g", "previous.b", "previous.valid",
 )  # fmt: skip
 BUFFERS = ("color", "albedo", "normal", "depth", "motion", "color_b", "jitter")
-FAMILIES = ("weight-sharing-kernels",)
+
+
+@dataclass(frozen=True)
+class Family:
+    """What the tables of a specification hold in one family of models."""
+
+    network: type
+    decoder: type
 
 
 class SpecError(InputError):
@@ -69,7 +78,7 @@ class Temporal:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Network:
+class ImportanceNetwork:
     """ImportanceNet: a chain of RepVGG blocks (Fan et al. 2021, figure 2)."""
 
     features: tuple[str, ...]  # input planes by name
@@ -80,12 +89,34 @@ class Network:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Decoder:
+class FusedKernels:
     """Fused weight-sharing kernels (Fan et al. 2021, eq. 2 to 5)."""
 
     kernel_sizes: tuple[int, ...]  # pixels, odd, one importance map each
     logit_bound: float  # importance and fusion logits are clipped to +- this, (0, 40]
     weigh_samples: bool  # multiply importance by the samples that a pixel holds
+
+
+@dataclass(frozen=True, kw_only=True)
+class PyramidNetwork:
+    """A U-Net of RepVGG blocks that gives logits at every resolution, finest first."""
+
+    features: tuple[str, ...]  # input planes by name
+    widths: tuple[int, ...]  # channels of each level; every level halves the resolution
+    encoder_blocks: tuple[int, ...]  # blocks of each level on the way down, after its entry
+    decoder_blocks: tuple[int, ...]  # blocks of each level but the coarsest on the way up
+    concatenate: tuple[bool, ...]  # of each level but the coarsest: append the skip, or add it
+    kernel_size: int  # pixels, odd
+    branches: tuple[int, ...]  # kernel sizes trained side by side and fused for inference
+    identity: bool  # an identity branch where input and output widths agree (training only)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PyramidKernels:
+    """Weight-sharing kernels at several resolutions, then a resolve with the previous output."""
+
+    kernel_sizes: tuple[int, ...]  # pixels of each level, odd, one importance map each
+    logit_bound: float  # logits are clipped to +- this, (0, 20]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +128,9 @@ class Training:
     patch: int  # pixels
     learning_rate: float  # Adam, cosine decay to 1 % of it
     smape_epsilon: float  # Fan et al. 2021, eq. 6, in exposed radiance
+    display_weight: float  # weight of the error as displayed beside SMAPE, >= 0
+    history_from: int  # step from which previous outputs are given; 0: the model takes none
+    history_every: int  # steps between renewals of those outputs
     drop_feature: float  # probability that albedo, normal or depth is withheld from a patch
     exposure_stops: float  # exposure is varied by +- this
     seed: int
@@ -115,8 +149,8 @@ class ModelSpec:
     demodulate: Demodulate
     transfer: Transfer
     temporal: Temporal
-    network: Network
-    decoder: Decoder
+    network: ImportanceNetwork | PyramidNetwork
+    decoder: FusedKernels | PyramidKernels
     training: Training
 
     def __post_init__(self) -> None:
@@ -145,10 +179,28 @@ class ModelSpec:
         _within("temporal.depth_ratio", self.temporal.depth_ratio, 1e-6, 1e6)
         # exp of twice the bound times a window must stay far inside float32 (3e38)
         _within("decoder.logit_bound", self.decoder.logit_bound, 1e-3, 40)
+        if isinstance(self.network, PyramidNetwork):
+            levels = len(self.network.widths)
+            for key, count in (
+                ("encoder_blocks", levels),
+                ("decoder_blocks", levels - 1),
+                ("concatenate", levels - 1),
+            ):
+                if len(getattr(self.network, key)) != count:
+                    raise SpecError(
+                        f"network.{key} must have {count} entries for {levels} widths, "
+                        f"got {getattr(self.network, key)}"
+                    )
 
     def to_json(self) -> str:
         """The spec as JSON text, as it is embedded in a model file."""
         return json.dumps(dataclasses.asdict(self), sort_keys=True)
+
+
+FAMILIES = {
+    "weight-sharing-kernels": Family(ImportanceNetwork, FusedKernels),
+    "kernel-pyramid": Family(PyramidNetwork, PyramidKernels),
+}
 
 
 def parse(data: dict[str, Any]) -> ModelSpec:
@@ -159,7 +211,13 @@ def parse(data: dict[str, Any]) -> ModelSpec:
     SpecError
         A key is unknown or missing, or a value breaks its rule.
     """
-    return _build(ModelSpec, data, "")
+    hints = typing.get_type_hints(ModelSpec)
+    # an unknown or missing family is reported with the other keys
+    if isinstance(data, dict) and (family := FAMILIES.get(str(data.get("family")))):
+        hints.update(network=family.network, decoder=family.decoder)
+    elif isinstance(data, dict) and "family" in data:
+        _one_of("family", str(data["family"]), FAMILIES)
+    return _build(ModelSpec, hints, data, "")
 
 
 def load(name: str) -> ModelSpec:
@@ -182,10 +240,9 @@ def from_json(text: str) -> ModelSpec:
     return parse(json.loads(text))
 
 
-def _build(kind: type, data: Any, path: str) -> Any:
+def _build(kind: type, hints: dict[str, Any], data: Any, path: str) -> Any:
     if not isinstance(data, dict):
         raise SpecError(f"{path.rstrip('.')} must be a table, got {data!r}")
-    hints = typing.get_type_hints(kind)
     if unknown := sorted(set(data) - set(hints)):
         raise SpecError(f"unknown key {path}{unknown[0]}; known keys: {', '.join(hints)}")
     if missing := [key for key in hints if key not in data]:
@@ -195,7 +252,7 @@ def _build(kind: type, data: Any, path: str) -> Any:
 
 def _value(hint: Any, value: Any, path: str) -> Any:
     if dataclasses.is_dataclass(hint):
-        return _build(typing.cast(type, hint), value, path + ".")
+        return _build(typing.cast(type, hint), typing.get_type_hints(hint), value, path + ".")
     if typing.get_origin(hint) is tuple:
         if not isinstance(value, list | tuple):
             raise SpecError(f"{path} must be a list, got {value!r}")
@@ -207,7 +264,7 @@ def _value(hint: Any, value: Any, path: str) -> Any:
     return value
 
 
-def _one_of(key: str, value: str, known: tuple[str, ...]) -> None:
+def _one_of(key: str, value: str, known: Iterable[str]) -> None:
     if value not in known:
         raise SpecError(f"{key} must be one of {', '.join(known)}, got {value}")
 

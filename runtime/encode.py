@@ -146,3 +146,37 @@ def feature_planes(
             target[...] = 0
         else:
             np.divide(depth, depth + np.float32(depth_unit), out=target)
+
+
+def previous_planes(
+    previous: np.ndarray,
+    divisor: np.ndarray | None,
+    exposure: float,
+    features: Sequence[str],
+    *,
+    out: np.ndarray,
+) -> None:
+    """Fill the planes of the previous output, for networks that ask for them.
+
+    Parameters
+    ----------
+    previous : (h, w, 4) float32
+        Radiance of the previous output at these pixels and, last, how much of it is valid.
+    divisor : (h, w, 3) float32 or None
+        What radiance is divided by, so that the output compares with the irradiance.
+    exposure
+        1 / irradiance.
+    features
+        Names of the planes.
+    out : (len(features), h, w) float32
+        Written: values in [0, 1].
+    """
+    plane = dict(zip(features, out, strict=True))
+    for channel, name in enumerate("rgb"):
+        if (target := plane.get(f"previous.{name}")) is not None:
+            light = previous[..., channel]
+            if divisor is not None:
+                light = light / divisor[..., channel]
+            np.sqrt(tone_map(light, exposure), out=target)
+    if (target := plane.get("previous.valid")) is not None:
+        target[...] = previous[..., 3]

@@ -9,16 +9,16 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stillray.models_spec.loader import Decoder
+from stillray.models_spec.loader import FusedKernels
 from stillray.strips import planes_of
 
 
-def reach(options: Decoder) -> int:
+def reach(options: FusedKernels) -> int:
     """Pixels that the largest kernel looks to each side."""
     return max(options.kernel_sizes) // 2
 
 
-def filter_rows(mean: np.ndarray, logits: np.ndarray, inner: slice, options: Decoder) -> np.ndarray:
+def filter_rows(mean: np.ndarray, logits: np.ndarray, inner: slice, options: FusedKernels) -> np.ndarray:
     """Filter an image, or a strip of one with its neighbouring rows.
 
     Parameters

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from stillray.models_spec.loader import Decoder, Temporal
+from stillray.models_spec.loader import FusedKernels, Temporal
 
 
 def fused_kernels(
-    irradiance: np.ndarray, samples: np.ndarray, logits: np.ndarray, options: Decoder
+    irradiance: np.ndarray, samples: np.ndarray, logits: np.ndarray, options: FusedKernels
 ) -> np.ndarray:
     """Fan et al. 2021, eq. 3 to 5, window by window with the maximum subtracted."""
     height, width = samples.shape

@@ -127,11 +127,11 @@ def test_an_empty_data_folder_is_refused(small, tmp_path):
 
 def test_provenance_counts_scenes_and_credits_them(small, tmp_path):
     (tmp_path / "data.json").write_text(json.dumps(["room-0000-0", "room-0001-2", "tire-0000-0"]))
-    (tmp_path / "log.csv").write_text("step,smape,seconds\n20,0.5,1\n40,0.3,2\n")
+    (tmp_path / "log.csv").write_text("step,loss,seconds\n20,0.5,1\n40,0.3,2\n")
     about = provenance.collect(tmp_path, small, 40)
     assert about["data"] == {"room": 2, "tire": 1}
     assert "HorusZ" in about["credits"]["tire"]
-    assert about["training_smape"] == pytest.approx(0.4)
+    assert about["training_loss"] == pytest.approx(0.4)
 
 
 def test_a_scene_of_unknown_licence_cannot_ship():

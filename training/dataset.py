@@ -35,6 +35,7 @@ class Example:
     normal: np.ndarray  # (h, w, 3)
     depth: np.ndarray  # (h, w)
     depth_unit: float
+    previous: np.ndarray  # (h, w, 4) radiance of the previous output, and how much of it is valid
     reference: np.ndarray  # (h, w, 3) radiance
 
 
@@ -46,6 +47,8 @@ class Batch:
     irradiance: np.ndarray
     samples: np.ndarray
     divisor: np.ndarray
+    previous: np.ndarray
+    valid: np.ndarray
     reference: np.ndarray
     exposure: np.ndarray  # (n, 1, 1, 1)
 
@@ -79,6 +82,7 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> Iterator[E
             normal=prepared.normal,
             depth=prepared.depth,
             depth_unit=prepared.depth_unit,
+            previous=np.zeros_like(history.mean),
             reference=reference,
         )
 
@@ -129,6 +133,8 @@ class PatchSampler:
         mean[..., :3] = mean[..., order] * gain
         reference = turn(example.reference[window])[..., order] * gain
         divisor = turn(example.divisor[window])[..., order]
+        previous = turn(example.previous[window]).copy()
+        previous[..., :3] = previous[..., order] * gain
         albedo: np.ndarray | None = turn(example.albedo[window])[..., order]
         normal: np.ndarray | None = turn(example.normal[window]) @ _random_rotation(rng)
         depth: np.ndarray | None = turn(example.depth[window])
@@ -156,11 +162,14 @@ class PatchSampler:
             depth_unit=example.depth_unit,
             out=features,
         )
+        encode.previous_planes(previous, divisor, exposure, spec.network.features, out=features)
         return {
             "features": features,
             "irradiance": _chw(mean[..., :3]),
             "samples": mean[None, ..., 3],
             "divisor": _chw(divisor),
+            "previous": _chw(previous[..., :3]),
+            "valid": previous[None, ..., 3],
             "reference": _chw(reference),
             "exposure": np.full((1, 1, 1), exposure, np.float32),
         }

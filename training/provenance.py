@@ -51,7 +51,7 @@ def collect(run: Path, spec: ModelSpec, steps: int) -> dict[str, Any]:
     sequences = json.loads((run / "data.json").read_text())
     scenes = Counter(name.rsplit("-", 2)[0] for name in sequences)
     with (run / "log.csv").open(newline="") as file:
-        losses = [float(row["smape"]) for row in csv.DictReader(file)][-_LOSS_ROWS:]
+        losses = [float(row["loss"]) for row in csv.DictReader(file)][-_LOSS_ROWS:]
     return {
         "data": dict(sorted(scenes.items())),
         "credits": credits_of(set(scenes)),
@@ -59,5 +59,5 @@ def collect(run: Path, spec: ModelSpec, steps: int) -> dict[str, Any]:
         "seed": spec.training.seed,
         "date": datetime.now(UTC).date().isoformat(),
         "torch": version("torch"),
-        "training_smape": round(sum(losses) / len(losses), 5),
+        "training_loss": round(sum(losses) / len(losses), 5),
     }

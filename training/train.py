@@ -20,7 +20,7 @@ import torch
 import typer
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from safetensors.torch import load_file, save_file
-from torch import Tensor
+from torch import Tensor, nn
 
 from stillray.cli import program
 from stillray.errors import InputError
@@ -28,29 +28,27 @@ from stillray.exr import atomic_path
 from stillray.models_spec import ModelSpec, load
 from stillray.strips import Strips
 from stillray.training.dataset import Batch, Example, PatchSampler, find_sequences, load_examples
-from stillray.training.decoders import fused_kernels
-from stillray.training.losses import smape
-from stillray.training.networks.importance import ImportanceNet
+from stillray.training.families import FAMILIES
+from stillray.training.losses import displayed_error, smape
 
 CHECKPOINT = "checkpoint.safetensors"
 _LOG_EVERY = 20  # steps
 
 
-def reconstruct_loss(network: ImportanceNet, batch: Batch, spec: ModelSpec) -> Tensor:
-    """SMAPE of the re-modulated result against the reference, both exposed."""
+def reconstruct_loss(network: nn.Module, batch: Batch, spec: ModelSpec) -> Tensor:
+    """Error of the re-modulated result against the reference, both exposed."""
     take = {
         field.name: torch.from_numpy(getattr(batch, field.name))
         for field in dataclasses.fields(batch)
     }
     # channels last: the processor's convolutions of 16 channels run a third faster
-    logits = network(take["features"].contiguous(memory_format=torch.channels_last))
-    image = fused_kernels(take["irradiance"], take["samples"], logits, spec.decoder)
-    exposed = take["exposure"]
-    return smape(
-        image * take["divisor"] * exposed,
-        take["reference"] * exposed,
-        spec.training.smape_epsilon,
-    )
+    outputs = network(take["features"].contiguous(memory_format=torch.channels_last))
+    image = FAMILIES[spec.family].reconstruct(outputs, take, spec) * take["exposure"]
+    reference = take["reference"] * take["exposure"]
+    loss = smape(image, reference, spec.training.smape_epsilon)
+    if spec.training.display_weight:
+        loss = loss + spec.training.display_weight * displayed_error(image, reference)
+    return loss
 
 
 def learning_rate(step: int, spec: ModelSpec) -> float:
@@ -64,7 +62,7 @@ def learning_rate(step: int, spec: ModelSpec) -> float:
     )
 
 
-def train(spec: ModelSpec, data: list[Path], out: Path, *, save_every: int = 200) -> ImportanceNet:
+def train(spec: ModelSpec, data: list[Path], out: Path, *, save_every: int = 200) -> nn.Module:
     """Train until the recipe's last step; resumes from ``out`` if it holds a checkpoint.
 
     Parameters
@@ -88,7 +86,7 @@ def train(spec: ModelSpec, data: list[Path], out: Path, *, save_every: int = 200
         raise InputError(f"data must hold finished sequences, got {', '.join(map(str, data))}")
     out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(spec.training.seed)
-    network = ImportanceNet(spec)
+    network = FAMILIES[spec.family].network(spec)
     optimiser = torch.optim.Adam(network.parameters(), lr=spec.training.learning_rate)
     step = _restore(out / CHECKPOINT, spec, network, optimiser)
     with Progress(
@@ -126,9 +124,9 @@ def train(spec: ModelSpec, data: list[Path], out: Path, *, save_every: int = 200
     return network
 
 
-def load_network(spec: ModelSpec, checkpoint: Path) -> tuple[ImportanceNet, int]:
+def load_network(spec: ModelSpec, checkpoint: Path) -> tuple[nn.Module, int]:
     """A network with a checkpoint's weights, and the steps it was trained for."""
-    network = ImportanceNet(spec)
+    network = FAMILIES[spec.family].network(spec)
     step = _restore(checkpoint, spec, network, None)
     if step == 0:
         raise InputError(f"{checkpoint}: no such checkpoint")
@@ -140,7 +138,7 @@ def _log(path: Path, step: int, loss: float, seconds: float) -> None:
     with path.open("a", newline="") as file:
         writer = csv.writer(file)
         if new:
-            writer.writerow(["step", "smape", "seconds"])
+            writer.writerow(["step", "loss", "seconds"])
         writer.writerow([step, f"{loss:.6f}", f"{seconds:.1f}"])
 
 

@@ -1,0 +1,100 @@
+"""PyramidNet: a U-Net that gives the logits of `stillray.pyramid` at every resolution."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from stillray.models_spec import ModelSpec
+from stillray.models_spec.loader import PyramidKernels, PyramidNetwork
+from stillray.pyramid import level_layout, level_logits
+from stillray.training.networks.repvgg import RepVGGBlock
+
+_UNRESOLVED = -3.0  # logit of a neighbour against the pixel itself, before training
+
+
+class PyramidNet(nn.Module):
+    """Features in, logits of every level out, finest first.
+
+    A level is entered by a convolution of stride 2 and left by doubling pixels, which the
+    convolutions that follow smooth. Skips are added, or appended where the spec says so.
+
+    Parameters
+    ----------
+    spec
+        Its ``network`` gives features, widths and blocks; its ``decoder`` the logits.
+    """
+
+    def __init__(self, spec: ModelSpec) -> None:
+        super().__init__()
+        network, decoder = spec.network, spec.decoder
+        assert isinstance(network, PyramidNetwork)
+        assert isinstance(decoder, PyramidKernels)
+        widths, levels = network.widths, len(network.widths)
+
+        def blocks(width_in: int, width: int, count: int) -> nn.Sequential:
+            return nn.Sequential(
+                *(
+                    RepVGGBlock(
+                        width_in if index == 0 else width,
+                        width,
+                        network.branches,
+                        identity=network.identity,
+                        activation=True,
+                    )
+                    for index in range(count)
+                )
+            )
+
+        def convolution(width_in: int, width: int, size: int, stride: int = 1) -> nn.Conv2d:
+            return nn.Conv2d(width_in, width, size, stride=stride, padding=size // 2)
+
+        sources = (len(network.features), *widths[:-1])
+        self.enter = nn.ModuleList(
+            convolution(source, width, network.kernel_size, stride=1 if level == 0 else 2)
+            for level, (source, width) in enumerate(zip(sources, widths, strict=True))
+        )
+        self.encode = nn.ModuleList(
+            blocks(width, width, count)
+            for width, count in zip(widths, network.encoder_blocks, strict=True)
+        )
+        self.rise = nn.ModuleList(
+            convolution(widths[level + 1], widths[level], 1) for level in range(levels - 1)
+        )
+        self.decode = nn.ModuleList(
+            blocks(
+                widths[level] * (2 if network.concatenate[level] else 1),
+                widths[level],
+                network.decoder_blocks[level],
+            )
+            for level in range(levels - 1)
+        )
+        self.heads = nn.ModuleList(
+            convolution(
+                width, level_logits(level, levels, decoder), network.kernel_size if level == 0 else 1
+            )
+            for level, width in enumerate(widths)
+        )
+        self.concatenate = network.concatenate
+        # start from an unresolved picture: even shares would blur it and hide what to learn
+        finest = self.heads[0].bias
+        assert isinstance(finest, Tensor)
+        with torch.no_grad():
+            finest[level_layout(0, levels, decoder).resolve] = _UNRESOLVED
+
+    def forward(self, features_nchw: Tensor) -> tuple[Tensor, ...]:
+        """``(n, features, h, w)``, both sizes multiples of 2^(levels - 1), to one map a level."""
+        skips = []
+        for enter, encode in zip(self.enter, self.encode, strict=True):
+            features_nchw = encode(F.relu(enter(features_nchw)))
+            skips.append(features_nchw)
+        planes = skips.pop()
+        logits = [self.heads[-1](planes)]
+        for level in reversed(range(len(skips))):
+            risen = F.interpolate(self.rise[level](planes), scale_factor=2.0, mode="nearest")
+            skip = skips[level]
+            joined = torch.cat([risen, skip], 1) if self.concatenate[level] else risen + skip
+            planes = self.decode[level](joined)
+            logits.append(self.heads[level](planes))
+        return tuple(reversed(logits))
