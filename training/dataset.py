@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from stillray import encode
-from stillray.denoiser import History, prepare
 from stillray.exr import read_exr
 from stillray.models_spec import ModelSpec
+from stillray.prepare import History, prepare
 from stillray.strips import Strips
 from stillray.training.simulate.sequence import is_complete
 

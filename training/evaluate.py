@@ -17,11 +17,12 @@ from rich.console import Console
 from rich.progress import track
 
 from stillray.cli import program
-from stillray.denoiser import Denoiser, History, prepare
+from stillray.denoiser import Denoiser
 from stillray.display import display_exposure, tone_map, write_png
 from stillray.errors import InputError
 from stillray.exr import atomic_path, read_exr
 from stillray.frame import Frame
+from stillray.prepare import History, prepare
 from stillray.registry import find_model, list_models
 from stillray.strips import Strips
 from stillray.training import metrics
