@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
+
 from torch import nn
 
-from stillray.training.networks.importance import ImportanceNet
+from stillray.training.networks.repvgg import RepVGGBlock
 
 
-def fuse(network: ImportanceNet) -> nn.Sequential:
+def fuse(network: nn.Module) -> nn.Module:
     """The inference network: one convolution and a ReLU a block (Fan et al. 2021, figure 1).
 
     Parameters
@@ -17,18 +19,26 @@ def fuse(network: ImportanceNet) -> nn.Sequential:
 
     Returns
     -------
-    nn.Sequential
-        ``(n, features, h, w)`` to ``(n, 2 m, h, w)``, in evaluation mode.
+    nn.Module
+        The same network with every `RepVGGBlock` replaced, in evaluation mode.
     """
-    layers: list[nn.Module] = []
-    for block in network.chain():
-        weight, bias = (part.detach().clone() for part in block.fused())
-        convolution = nn.Conv2d(
-            weight.shape[1], weight.shape[0], block.kernel_size, padding=block.kernel_size // 2
-        ).to(weight.dtype)
-        convolution.weight.data = weight
-        convolution.bias.data = bias  # type: ignore[union-attr]
-        layers.append(convolution)
-        if block.activation:
-            layers.append(nn.ReLU())
-    return nn.Sequential(*layers).eval()
+    return _replace_blocks(copy.deepcopy(network)).eval()
+
+
+def _replace_blocks(module: nn.Module) -> nn.Module:
+    for name, child in module.named_children():
+        if isinstance(child, RepVGGBlock):
+            setattr(module, name, _one_convolution(child))
+        else:
+            _replace_blocks(child)
+    return module
+
+
+def _one_convolution(block: RepVGGBlock) -> nn.Module:
+    weight, bias = (part.detach().clone() for part in block.fused())
+    convolution = nn.Conv2d(
+        weight.shape[1], weight.shape[0], block.kernel_size, padding=block.kernel_size // 2
+    ).to(weight.dtype)
+    convolution.weight.data = weight
+    convolution.bias.data = bias  # type: ignore[union-attr]
+    return nn.Sequential(convolution, nn.ReLU()) if block.activation else convolution

@@ -1,22 +1,31 @@
 """Parity of all forms of a model, checked before anything is written.
 
 branches = fused = ONNX Runtime; decoder in PyTorch = decoder of the runtime = whole graph; each
-against float64. Sizes are odd, inputs random with fireflies, logits extreme.
+against float64. Sizes are odd where the family allows, inputs random with fireflies, logits
+extreme.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import onnxruntime as ort
 import torch
-from torch import nn
+from torch import Tensor, nn
 
-from stillray import kernels
+from stillray import families as runtime_families
+from stillray import kernels, pyramid
 from stillray.models_spec import ModelSpec
-from stillray.training.decoders import fused_kernels
-from stillray.training.networks.importance import ImportanceNet
+from stillray.models_spec.loader import FusedKernels
+from stillray.strips import Strips
+from stillray.training.decoders.boxes import BoxMean
+from stillray.training.families import FAMILIES
+from stillray.training.networks.repvgg import by_branches
 
-SIZES = ((33, 18), (1, 1), (3, 5), (64, 97))  # height, width
+SIZES = ((33, 18), (1, 1), (3, 5), (64, 97))  # height, width; rounded up to what the family takes
+#: Channels of the arrays that decoders take.
+CHANNELS = {"irradiance": 3, "samples": 1, "divisor": 3, "previous": 3, "valid": 1}
 # Sums of a few hundred float32 products, in other orders: relative to the largest value.
 NETWORK_TOLERANCE = 2e-5
 # A logit's error of 1e-5 moves an importance by as much, and the result by no more.
@@ -28,7 +37,7 @@ class ParityError(RuntimeError):
 
 
 def check(
-    network: ImportanceNet, fused: nn.Module, alone: bytes, whole: bytes, spec: ModelSpec
+    network: nn.Module, fused: nn.Module, alone: bytes, whole: bytes, spec: ModelSpec
 ) -> dict[str, float]:
     """Compare every form of a model on every size.
 
@@ -57,55 +66,98 @@ def check(
     sessions = [
         ort.InferenceSession(graph, providers=["CPUExecutionProvider"]) for graph in (alone, whole)
     ]
-    exact = ImportanceNet(spec).double()
+    family = FAMILIES[spec.family]
+    multiple = runtime_families.FAMILIES[spec.family].multiple(spec)
+    exact = family.network(spec).double()
     exact.load_state_dict({name: value.double() for name, value in network.state_dict().items()})
-    for index, (height, width) in enumerate(SIZES):
+    for index, size in enumerate(SIZES):
+        height, width = (-(-pixels // multiple) * multiple for pixels in size)
         rng = np.random.default_rng(index)
         features = rng.uniform(-1, 1, (1, len(spec.network.features), height, width))
         features = features.astype(np.float32)
-        irradiance = rng.lognormal(0, 2, (1, 3, height, width)).astype(np.float32)
-        irradiance[:, :, 0, 0] = 1e5  # a firefly
-        samples = rng.uniform(0.01, 16, (1, 1, height, width)).astype(np.float32)
+        given = torch.from_numpy(features)
+        arrays = random_arrays(rng, height, width)
+        with torch.no_grad(), by_branches(exact), by_branches(network):
+            oracle = _listed(exact(given.double()))
+            forms = {"branches logits": _listed(network(given))}
         with torch.no_grad():
-            oracle = exact.forward_branches(torch.from_numpy(features).double()).numpy()
-            forms = {
-                "branches logits": network.forward_branches(torch.from_numpy(features)).numpy(),
-                "merged logits": network(torch.from_numpy(features)).numpy(),
-                "fused logits": fused(torch.from_numpy(features)).numpy(),
-                "onnx logits": sessions[0].run(None, {"features": features})[0],
-            }
-        for name, value in forms.items():
-            _note(worst, name, value, oracle, NETWORK_TOLERANCE, (height, width))
+            forms["merged logits"] = _listed(network(given))
+            forms["fused logits"] = _listed(fused(given))
+        forms["onnx logits"] = sessions[0].run(None, {"features": features})
+        for name, values in forms.items():
+            for value, expected in zip(values, oracle, strict=True):
+                _note(worst, name, value, expected, NETWORK_TOLERANCE, (height, width))
         for scale in (1.0, 1e4):  # 1e4: logits far beyond the bound
-            logits = (forms["onnx logits"] * scale).astype(np.float32)
-            images = decoded(irradiance, samples, logits, spec)
+            logits = [(level * scale).astype(np.float32) for level in forms["onnx logits"]]
+            images = decoded(arrays, logits, spec)
             for name in ("torch decoder", "runtime decoder"):
                 _note(worst, name, images[name], images["oracle"], IMAGE_TOLERANCE, (height, width))
             if scale == 1.0:
-                image = sessions[1].run(
-                    None, {"features": features, "irradiance": irradiance, "samples": samples}
-                )[0]
+                feed = {"features": features, **{name: arrays[name] for name in family.inputs}}
+                (image,) = sessions[1].run(None, feed)
                 _note(
                     worst, "whole graph", image, images["oracle"], IMAGE_TOLERANCE, (height, width)
                 )
     return worst
 
 
+def random_arrays(rng: np.random.Generator, height: int, width: int) -> dict[str, np.ndarray]:
+    """What decoders take, ``(1, c, h, w)`` float32 by name, with a firefly."""
+
+    def of(name: str) -> tuple[int, int, int, int]:
+        return (1, CHANNELS[name], height, width)
+
+    arrays = {
+        "irradiance": rng.lognormal(0, 2, of("irradiance")),
+        "samples": rng.uniform(0.01, 16, of("samples")),
+        "divisor": rng.uniform(0.1, 1, of("divisor")),
+        "previous": rng.lognormal(0, 2, of("previous")),
+        "valid": rng.uniform(0, 1, of("valid")),
+    }
+    arrays["irradiance"][:, :, 0, 0] = 1e5
+    return {name: value.astype(np.float32) for name, value in arrays.items()}
+
+
 def decoded(
-    irradiance: np.ndarray, samples: np.ndarray, logits: np.ndarray, spec: ModelSpec
+    arrays: Mapping[str, np.ndarray], logits: Sequence[np.ndarray], spec: ModelSpec
 ) -> dict[str, np.ndarray]:
     """The same logits through each decoder; ``oracle`` is the PyTorch one in float64."""
-    light, held, maps = (torch.from_numpy(part) for part in (irradiance, samples, logits))
-    exact = fused_kernels(light.double(), held.double(), maps.double(), spec.decoder)
-    mean = np.concatenate([irradiance, samples], axis=1)[0].transpose(1, 2, 0)
-    runtime = kernels.filter_rows(
-        np.ascontiguousarray(mean), logits[0], slice(0, mean.shape[0]), spec.decoder
-    )
+    family = FAMILIES[spec.family]
+
+    def in_torch(kind: torch.dtype) -> np.ndarray:
+        batch = {name: torch.from_numpy(value).to(kind) for name, value in arrays.items()}
+        maps = [torch.from_numpy(level).to(kind) for level in logits]
+        outputs = maps if len(maps) > 1 else maps[0]
+        return family.decode(outputs, batch, spec, BoxMean.apply).numpy()
+
+    runtime = _in_runtime(arrays, [level[0] for level in logits], spec)
     return {
-        "oracle": exact.numpy(),
-        "torch decoder": fused_kernels(light, held, maps, spec.decoder).numpy(),
+        "oracle": in_torch(torch.float64),
+        "torch decoder": in_torch(torch.float32),
         "runtime decoder": runtime.transpose(2, 0, 1)[None],
     }
+
+
+def _in_runtime(
+    arrays: Mapping[str, np.ndarray], logits: Sequence[np.ndarray], spec: ModelSpec
+) -> np.ndarray:
+    def interleaved(*names: str) -> np.ndarray:
+        planes = np.concatenate([arrays[name][0] for name in names])
+        return np.ascontiguousarray(planes.transpose(1, 2, 0))
+
+    mean = interleaved("irradiance", "samples")
+    if isinstance(spec.decoder, FusedKernels):
+        return kernels.filter_rows(mean, logits[0], slice(0, mean.shape[0]), spec.decoder)
+    previous = interleaved("previous", "valid")
+    return pyramid.filter_pyramid(
+        mean, interleaved("divisor"), previous, logits, spec.decoder, Strips(1)
+    )
+
+
+def _listed(outputs: Tensor | Sequence[Tensor]) -> list[np.ndarray]:
+    """A network's outputs as arrays, one or several."""
+    parts = [outputs] if isinstance(outputs, Tensor) else outputs
+    return [part.numpy() for part in parts]
 
 
 def _note(

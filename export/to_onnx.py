@@ -1,7 +1,7 @@
 """``python -m stillray.export.to_onnx runs/wskp-3``: a trained network becomes two ONNX files.
 
 ``NAME.onnx`` is the network alone, which the runtime pairs with its own reconstruction;
-``NAME.whole.onnx`` takes accumulated irradiance and features to filtered irradiance in one graph,
+``NAME.whole.onnx`` takes features and accumulated irradiance to the filtered image in one graph,
 for engines that embed ONNX Runtime themselves. Both carry the whole spec and the provenance, and
 neither is written unless `stillray.export.parity` finds that all forms agree.
 """
@@ -18,38 +18,40 @@ import torch
 import typer
 from torch import Tensor, nn
 
+from stillray import families as runtime_families
 from stillray.cli import program
 from stillray.errors import InputError
 from stillray.export import parity
 from stillray.export.fuse import fuse
 from stillray.exr import atomic_path
 from stillray.models_spec import ModelSpec, from_json
-from stillray.models_spec.loader import Decoder
 from stillray.registry import PROVENANCE_KEY, SPEC_KEY, WHOLE_SUFFIX
-from stillray.training.decoders import fused_kernels, pooled_box_mean
+from stillray.training.decoders.boxes import pooled_box_mean
 from stillray.training.evaluate import evaluate_folder, mean_scores
-from stillray.training.networks.importance import ImportanceNet
+from stillray.training.families import FAMILIES
 from stillray.training.provenance import collect
 from stillray.training.train import CHECKPOINT, load_network
 
 OPSET = 18
+_EXAMPLE = (32, 48)  # height and width of the example inputs, pixels: multiples for any family
 
 
 class WholeDenoise(nn.Module):
     """Network and reconstruction in one graph."""
 
-    def __init__(self, network: nn.Module, decoder: Decoder) -> None:
+    def __init__(self, network: nn.Module, spec: ModelSpec) -> None:
         super().__init__()
         self.network = network
-        self.decoder = decoder
+        self.spec = spec
 
-    def forward(self, features: Tensor, irradiance: Tensor, samples: Tensor) -> Tensor:
-        """``(n, features, h, w)``, ``(n, 3, h, w)``, ``(n, 1, h, w)`` to ``(n, 3, h, w)``."""
-        logits = self.network(features)
-        return fused_kernels(irradiance, samples, logits, self.decoder, box=pooled_box_mean)
+    def forward(self, features: Tensor, *arrays: Tensor) -> Tensor:
+        """``(n, features, h, w)`` and the family's inputs, ``(n, c, h, w)``, to an image."""
+        family = FAMILIES[self.spec.family]
+        batch = dict(zip(family.inputs, arrays, strict=True))
+        return family.decode(self.network(features), batch, self.spec, pooled_box_mean)
 
 
-def export(network: ImportanceNet, spec: ModelSpec, provenance: dict[str, Any], out: Path) -> Path:
+def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out: Path) -> Path:
     """Write both graphs of a model, after checking that they compute what was trained.
 
     Parameters
@@ -74,22 +76,21 @@ def export(network: ImportanceNet, spec: ModelSpec, provenance: dict[str, Any], 
         Two forms of the network differ by more than rounding: nothing is written.
     """
     fused = fuse(network)
-    features = torch.zeros(1, len(spec.network.features), 32, 48)
-    color, samples = torch.zeros(1, 3, 32, 48), torch.ones(1, 1, 32, 48)
-    axes = {2: torch.export.Dim("height", min=1), 3: torch.export.Dim("width", min=1)}
     provenance = {
         **provenance,
         "parameters": sum(parameter.numel() for parameter in fused.parameters()),
     }
-    metadata = {SPEC_KEY: spec.to_json(), PROVENANCE_KEY: json.dumps(provenance, sort_keys=True)}
-    alone = to_model(fused, (features,), ["features"], ["logits"], axes, metadata)
+    alone = network_graph(fused, spec, provenance)
+    family = FAMILIES[spec.family]
+    arrays = [torch.ones(1, parity.CHANNELS[name], *_EXAMPLE) for name in family.inputs]
+    axes = _axes(spec)
     whole = to_model(
-        WholeDenoise(fused, spec.decoder).eval(),
-        (features, color, samples),
-        ["features", "irradiance", "samples"],
+        WholeDenoise(fused, spec).eval(),
+        (_features(spec), *arrays),
+        ["features", *family.inputs],
         ["denoised"],
-        axes,
-        metadata,
+        (axes, tuple(axes for _ in arrays)),
+        _metadata(spec, provenance),
     )
     parity.check(network, fused, alone.SerializeToString(), whole.SerializeToString(), spec)
     path = out / f"{spec.name}.onnx"
@@ -99,12 +100,42 @@ def export(network: ImportanceNet, spec: ModelSpec, provenance: dict[str, Any], 
     return path
 
 
+def network_graph(fused: nn.Module, spec: ModelSpec, provenance: dict[str, Any]) -> onnx.ModelProto:
+    """The graph of a fused network alone, which `stillray.Denoiser` runs."""
+    with torch.no_grad():
+        given = fused(_features(spec))
+    names = ["logits"] if isinstance(given, Tensor) else [f"logits_{i}" for i in range(len(given))]
+    return to_model(
+        fused,
+        (_features(spec),),
+        ["features"],
+        names,
+        (_axes(spec),),
+        _metadata(spec, {"parameters": 0, **provenance}),
+    )
+
+
+def _features(spec: ModelSpec) -> Tensor:
+    return torch.zeros(1, len(spec.network.features), *_EXAMPLE)
+
+
+def _axes(spec: ModelSpec) -> dict[int, Any]:
+    multiple = runtime_families.FAMILIES[spec.family].multiple(spec)
+    height, width = (torch.export.Dim(name, min=1) for name in ("height", "width"))
+    # sizes are whole pixels of the coarsest level
+    return {2: height, 3: width} if multiple == 1 else {2: multiple * height, 3: multiple * width}
+
+
+def _metadata(spec: ModelSpec, provenance: dict[str, Any]) -> dict[str, str]:
+    return {SPEC_KEY: spec.to_json(), PROVENANCE_KEY: json.dumps(provenance, sort_keys=True)}
+
+
 def to_model(
     module: nn.Module,
     example: tuple[Tensor, ...],
     inputs: list[str],
     outputs: list[str],
-    axes: dict[int, Any],
+    axes: tuple[Any, ...],
     metadata: dict[str, str],
 ) -> onnx.ModelProto:
     """Export with dynamic height and width, check, and attach metadata."""
@@ -116,7 +147,7 @@ def to_model(
             output_names=outputs,
             opset_version=OPSET,
             dynamo=True,
-            dynamic_shapes=tuple(axes for _ in example),
+            dynamic_shapes=axes,
             verbose=False,
         )
     assert program is not None

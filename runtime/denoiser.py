@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from types import TracebackType
 
-import cv2
 import numpy as np
 
-from stillray import encode, kernels, stages
+from stillray import encode, recall, stages
 from stillray.errors import InputError
+from stillray.families import FAMILIES
 from stillray.frame import Frame
 from stillray.models_spec.loader import ModelSpec
 from stillray.prepare import History, Prepared, prepare, timed
@@ -118,22 +119,45 @@ class Denoiser:
             self.last_timings,
             temporal=self.temporal,
         )
-        features = self._encode(frame, spec, prepared)
+        family = FAMILIES[spec.family]
+        previous: np.ndarray | None = None
+        if family.recalls and self.temporal:
+            previous = recall.recalled(self.history, prepared, self._strips, self.last_timings)
+        features = self._encode(frame, spec, prepared, previous)
         with timed(self.last_timings, "network"):
-            (logits_nchw,) = self._session.run(None, {"features": features})
-        image = self._reconstruct(prepared, logits_nchw[0], spec)
-        self.history = prepared.history if self.temporal else None
+            outputs = self._session.run(None, {"features": features})
+        image = family.reconstruct(
+            prepared,
+            previous,
+            [output[0] for output in outputs],
+            spec,
+            self._strips,
+            self.last_timings,
+        )
+        self.history = None
+        if self.temporal:
+            output = recall.remember(image) if family.recalls else None
+            self.history = replace(prepared.history, output=output)
         return image
 
-    def _encode(self, frame: Frame, spec: ModelSpec, prepared: Prepared) -> np.ndarray:
+    def _encode(
+        self, frame: Frame, spec: ModelSpec, prepared: Prepared, previous: np.ndarray | None
+    ) -> np.ndarray:
         height, width = frame.shape
-        shape = (1, len(spec.network.features), height, width)
+        multiple = FAMILIES[spec.family].multiple(spec)
+        full = (-(-height // multiple) * multiple, -(-width // multiple) * multiple)
+        shape = (1, len(spec.network.features), *full)
         if self._features_nchw is None or self._features_nchw.shape != shape:
             self._features_nchw = np.zeros(shape, np.float32)
         features_nchw = self._features_nchw
+        if previous is None:  # planes that nothing fills below
+            for index, name in enumerate(spec.network.features):
+                if name.startswith("previous"):
+                    features_nchw[0, index] = 0
         mean, normal, depth = prepared.history.mean, prepared.normal, prepared.depth
 
         def pack(rows: slice) -> None:
+            planes = features_nchw[0, :, rows, :width]
             encode.feature_planes(
                 mean[rows],
                 prepared.local[rows],
@@ -144,32 +168,23 @@ class Denoiser:
                 normal=None if normal is None else normal[rows],
                 depth=None if depth is None else depth[rows],
                 depth_unit=prepared.depth_unit,
-                out=features_nchw[0, :, rows],
+                out=planes,
             )
+            if previous is not None:
+                encode.previous_planes(
+                    previous[rows],
+                    None if prepared.divisor is None else prepared.divisor[rows],
+                    prepared.history.exposure,
+                    spec.network.features,
+                    out=planes,
+                )
 
         with timed(self.last_timings, "encode"):
             self._strips.run(pack, height, width)
+            # to a multiple by repeating the last column and row
+            features_nchw[..., :height, width:] = features_nchw[..., :height, width - 1 : width]
+            features_nchw[..., height:, :] = features_nchw[..., height - 1 : height, :]
         return features_nchw
-
-    def _reconstruct(self, prepared: Prepared, logits: np.ndarray, spec: ModelSpec) -> np.ndarray:
-        mean = prepared.history.mean
-        height, width = mean.shape[:2]
-        image = np.empty((height, width, 3), np.float32)
-        halo = kernels.reach(spec.decoder)
-
-        def filter_strip(rows: slice) -> None:
-            top, bottom = max(rows.start - halo, 0), min(rows.stop + halo, height)
-            inner = slice(rows.start - top, rows.stop - top)
-            image[rows] = kernels.filter_rows(
-                mean[top:bottom], logits[:, top:bottom], inner, spec.decoder
-            )
-
-        with timed(self.last_timings, "reconstruct"):
-            self._strips.run(filter_strip, height, width)
-        if prepared.divisor is not None:
-            with timed(self.last_timings, "modulate"):
-                cv2.multiply(image, prepared.divisor, dst=image)
-        return image
 
 
 def denoise(

@@ -6,11 +6,50 @@ box sums, ``sum(exp(I) r) / sum(exp(I))``, and a box sum is separable.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
-from stillray.models_spec.loader import FusedKernels
-from stillray.strips import planes_of
+from stillray.models_spec.loader import FusedKernels, ModelSpec
+from stillray.prepare import Prepared, timed
+from stillray.strips import Strips, planes_of
+
+
+def reconstruct(
+    prepared: Prepared,
+    previous: np.ndarray | None,
+    outputs: Sequence[np.ndarray],
+    spec: ModelSpec,
+    strips: Strips,
+    timings: dict[str, float],
+) -> np.ndarray:
+    """Filter and re-modulate a frame, see `stillray.families.Family`."""
+    options = spec.decoder
+    assert isinstance(options, FusedKernels)
+    (logits,) = outputs
+    mean = prepared.history.mean
+    height, width = mean.shape[:2]
+    image = np.empty((height, width, 3), np.float32)
+    halo = reach(options)
+
+    def filter_strip(rows: slice) -> None:
+        top, bottom = max(rows.start - halo, 0), min(rows.stop + halo, height)
+        inner = slice(rows.start - top, rows.stop - top)
+        image[rows] = filter_rows(mean[top:bottom], logits[:, top:bottom], inner, options)
+
+    with timed(timings, "reconstruct"):
+        strips.run(filter_strip, height, width)
+    if prepared.divisor is not None:
+        with timed(timings, "modulate"):
+            cv2.multiply(image, prepared.divisor, dst=image)
+    return image
+
+
+def method(spec: ModelSpec) -> str:
+    """What the reconstruction does, in a few words."""
+    assert isinstance(spec.decoder, FusedKernels)
+    return f"{len(spec.decoder.kernel_sizes)} fused kernels"
 
 
 def reach(options: FusedKernels) -> int:
@@ -18,7 +57,9 @@ def reach(options: FusedKernels) -> int:
     return max(options.kernel_sizes) // 2
 
 
-def filter_rows(mean: np.ndarray, logits: np.ndarray, inner: slice, options: FusedKernels) -> np.ndarray:
+def filter_rows(
+    mean: np.ndarray, logits: np.ndarray, inner: slice, options: FusedKernels
+) -> np.ndarray:
     """Filter an image, or a strip of one with its neighbouring rows.
 
     Parameters

@@ -34,11 +34,14 @@ class History:
         Geometry of the last frame, see `stillray.reproject.pack`.
     exposure
         1 / irradiance, steadied over the sequence.
+    output : (h, w, 4) float32 or None
+        The last output, see `stillray.recall.remember`; None for models that take none.
     """
 
     mean: np.ndarray
     guides: np.ndarray | None
     exposure: float
+    output: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,6 +60,8 @@ class Prepared:
         The frame's, repaired.
     depth_unit
         Scale of the depth feature.
+    motion : (h, w, 2) float32 or None
+        The frame's, finite.
     """
 
     history: History
@@ -66,6 +71,7 @@ class Prepared:
     normal: np.ndarray | None
     depth: np.ndarray | None
     depth_unit: float
+    motion: np.ndarray | None
 
 
 def prepare(
@@ -164,6 +170,7 @@ def prepare(
         normal=normal,
         depth=depth,
         depth_unit=depth_unit,
+        motion=motion,
     )
 
 

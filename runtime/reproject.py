@@ -131,7 +131,7 @@ def reproject(
             taken = cv2.copyTo(taken, same.view(np.uint8))
         return taken
     height, width = history.shape[:2]
-    x, y = _positions(motion, rows, height)
+    x, y = positions(motion, rows, height)
     taken = _bilinear(history, x, y)
     if before is not None and now is not None:
         same = _same_surface(_bilinear(before, x, y), now, options)
@@ -156,7 +156,7 @@ def _pixels(image: np.ndarray) -> np.ndarray:
     return image.reshape(-1).view(np.complex128)
 
 
-def _positions(motion: np.ndarray, rows: slice, frame_height: int) -> tuple[np.ndarray, np.ndarray]:
+def positions(motion: np.ndarray, rows: slice, frame_height: int) -> tuple[np.ndarray, np.ndarray]:
     """Where each pixel was; far positions come near, all of their taps still outside."""
     width = motion.shape[1]
     x = motion[..., 0] + np.arange(width, dtype=np.float32)

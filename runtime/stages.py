@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stillray.families import FAMILIES
 from stillray.frame import Frame
 from stillray.models_spec.loader import ModelSpec
 
@@ -43,12 +44,16 @@ def plan(frame: Frame, spec: ModelSpec, *, has_history: bool, temporal: bool) ->
         past, why = False, "no motion given: where the past went is not known"
     else:
         past, why = True, "history and motion are there"
+    family = FAMILIES[spec.family]
     albedo = frame.albedo is not None
     geometry = temporal and (frame.normal is not None or frame.depth is not None)
     if geometry:
         why_guides = "normal or depth tell surfaces apart"
     else:
         why_guides = "no normal or depth given" if temporal else why
+    why_modulate = "albedo is given" if albedo else "no albedo given"
+    if albedo and family.recalls:
+        why_modulate = "the reconstruction does it, before it resolves"
     return [
         Stage(
             "repair",
@@ -64,9 +69,14 @@ def plan(frame: Frame, spec: ModelSpec, *, has_history: bool, temporal: bool) ->
             why if not past else "motion is given" if moving else "motion is zero everywhere",
         ),
         Stage("accumulate", past, why),
+        Stage(
+            "recall",
+            past and family.recalls,
+            why if family.recalls else "the model does not look at its last output",
+        ),
         Stage("encode", True, f"{len(spec.network.features)} planes for the network"),
         Stage("network", True, spec.name),
-        Stage("reconstruct", True, f"{len(spec.decoder.kernel_sizes)} fused kernels"),
+        Stage("reconstruct", True, family.method(spec)),
         Stage("upscale", False, "the model's scale is 1"),
-        Stage("modulate", albedo, "albedo is given" if albedo else "no albedo given"),
+        Stage("modulate", albedo and not family.recalls, why_modulate),
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stillray.models_spec.loader import FusedKernels, Temporal
+from stillray.models_spec.loader import FusedKernels, PyramidKernels, Temporal
 
 
 def fused_kernels(
@@ -72,3 +72,88 @@ def reproject(
                 result[y, x, :3] = total[:3] / weights
                 result[y, x, 3] = total[3]
     return result
+
+
+def kernel_pyramid(
+    mean: np.ndarray,
+    divisor: np.ndarray,
+    previous: np.ndarray,
+    logits: list[np.ndarray],
+    options: PyramidKernels,
+) -> np.ndarray:
+    """`stillray.pyramid.filter_pyramid`, pixel by pixel; arrays as it takes them."""
+    bound, count, levels = options.logit_bound, len(options.kernel_sizes), len(logits)
+    weights = [np.exp(np.clip(level.astype(np.float64), -bound, bound)) for level in logits]
+    height, width = mean.shape[:2]
+    full = weights[0].shape[1:]
+    padding = [(0, full[axis] - mean.shape[axis]) for axis in (0, 1)]
+    padded = np.pad(mean.astype(np.float64), [*padding, (0, 0)], mode="edge")
+    light, held = padded[..., :3], padded[..., 3]
+    pyramid = [(light, held)]
+    for level in range(levels - 1):
+        light, held = pyramid[-1]
+        half = (held.shape[0] // 2, held.shape[1] // 2)
+        coarse, samples = np.zeros((*half, 3)), np.zeros(half)
+        for y, x in np.ndindex(half):
+            block = [(2 * y + a, 2 * x + b) for a in (0, 1) for b in (0, 1)]
+            pool = [weights[level][count][p] for p in block]
+            weight = [w * held[p] for w, p in zip(pool, block, strict=True)]
+            samples[y, x] = sum(weight) / sum(pool)
+            if sum(weight) > 0:
+                coarse[y, x] = sum(w * light[p] for w, p in zip(weight, block, strict=True)) / sum(
+                    weight
+                )
+        pyramid.append((coarse, samples))
+    result = np.zeros(0)
+    for level in reversed(range(levels)):
+        light, held = pyramid[level]
+        coarsest = level == levels - 1
+        blended = np.zeros_like(light)
+        for y, x in np.ndindex(held.shape):
+            choices = [light[y, x]] + [
+                _window(light, weights[level][index] * held, y, x, size // 2)
+                for index, size in enumerate(options.kernel_sizes)
+            ]
+            first = count if coarsest else count + 1
+            shares = list(weights[level][first : first + len(choices) - coarsest, y, x])
+            if coarsest:
+                shares = [1.0, *shares]
+            else:
+                choices.append(_between(result, (y - 0.5) / 2, (x - 0.5) / 2))
+                shares.append(1.0)
+            blended[y, x] = np.average(choices, axis=0, weights=shares)
+        result = blended
+    radiance = result[:height, :width] * divisor
+    resolved = np.zeros_like(radiance)
+    around = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
+    for y, x in np.ndindex(height, width):
+        choices = [radiance[y, x], previous[y, x, :3].astype(np.float64)]
+        shares = [1.0, weights[0][-1, y, x] * previous[y, x, 3]]
+        for index, (down, right) in enumerate(around):
+            at = min(max(y + down, 0), height - 1), min(max(x + right, 0), width - 1)
+            choices.append(radiance[at])
+            shares.append(weights[0][-9 + index, y, x])
+        resolved[y, x] = np.average(choices, axis=0, weights=shares)
+    return resolved
+
+
+def _window(light: np.ndarray, weight: np.ndarray, y: int, x: int, half: int) -> np.ndarray:
+    rows = slice(max(y - half, 0), y + half + 1)
+    columns = slice(max(x - half, 0), x + half + 1)
+    total = weight[rows, columns].sum()
+    return np.einsum("yx,yxc->c", weight[rows, columns], light[rows, columns]) / total
+
+
+def _between(image: np.ndarray, y: float, x: float) -> np.ndarray:
+    """Bilinear, the border repeated."""
+    top, left = int(np.floor(y)), int(np.floor(x))
+    total = np.zeros(image.shape[2])
+    for row in (top, top + 1):
+        for column in (left, left + 1):
+            share = (1 - abs(y - row)) * (1 - abs(x - column))
+            at = (
+                min(max(row, 0), image.shape[0] - 1),
+                min(max(column, 0), image.shape[1] - 1),
+            )
+            total += share * image[at]
+    return total

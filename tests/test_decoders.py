@@ -6,8 +6,9 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from stillray.models_spec import load  # noqa: E402
-from stillray.training import decoders  # noqa: E402
-from stillray.training.losses import smape  # noqa: E402
+from stillray.training.decoders import boxes  # noqa: E402
+from stillray.training.decoders.fused_kernels import fused_kernels  # noqa: E402
+from stillray.training.losses import displayed_error, smape  # noqa: E402
 from tests import oracles  # noqa: E402
 
 DECODER = load("wskp-3").decoder
@@ -18,8 +19,8 @@ DECODER = load("wskp-3").decoder
 def test_box_mean_equals_zero_padded_average_pooling(size, shape):
     planes = torch.rand(2, 3, *shape, dtype=torch.float64)
     expected = torch.nn.functional.avg_pool2d(planes, size, 1, size // 2)
-    torch.testing.assert_close(decoders.box_mean(planes, size), expected)
-    torch.testing.assert_close(decoders.pooled_box_mean(planes, size), expected)
+    torch.testing.assert_close(boxes.box_mean(planes, size), expected)
+    torch.testing.assert_close(boxes.pooled_box_mean(planes, size), expected)
 
 
 def test_decoder_equals_the_loop_oracle():
@@ -27,7 +28,7 @@ def test_decoder_equals_the_loop_oracle():
     irradiance = rng.lognormal(0, 2, (11, 14, 3))
     samples = rng.uniform(1e-3, 16, (11, 14))
     logits = rng.normal(size=(12, 11, 14)) * 5
-    got = decoders.fused_kernels(
+    got = fused_kernels(
         torch.from_numpy(irradiance.transpose(2, 0, 1)[None]),
         torch.from_numpy(samples[None, None]),
         torch.from_numpy(logits[None]),
@@ -43,7 +44,7 @@ def test_decoder_s_gradient_equals_finite_differences():
     samples = torch.rand(1, 1, 5, 6, dtype=torch.float64) + 0.1
     logits = torch.randn(1, 12, 5, 6, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(
-        lambda x: decoders.fused_kernels(irradiance, samples, x, DECODER), (logits,)
+        lambda x: fused_kernels(irradiance, samples, x, DECODER), (logits,)
     )
 
 
@@ -51,3 +52,12 @@ def test_smape_is_the_paper_s_equation():
     image = torch.tensor([1.0, 0.0, 3.0])
     reference = torch.tensor([3.0, 0.0, 3.0])
     torch.testing.assert_close(smape(image, reference, 0.01), torch.tensor(2.0 / 4.01 / 3))
+
+
+def test_displayed_error_is_that_of_a_screen():
+    image, reference = torch.tensor([0.5, 9.0, 0.0]), torch.tensor([0.5, 0.6, 0.1])
+    # the first agrees, the second is clipped in both, the third is 0.2 of white against black
+    expected = ((0.2 + 1e-3) ** (1 / 2.2) - 1e-3 ** (1 / 2.2)) / 3
+    torch.testing.assert_close(
+        displayed_error(image, reference).item(), expected, rtol=1e-5, atol=0
+    )

@@ -11,35 +11,34 @@ from stillray.export import parity, to_onnx  # noqa: E402
 from stillray.export.fuse import fuse  # noqa: E402
 from stillray.models_spec import load  # noqa: E402
 from stillray.registry import WHOLE_SUFFIX, find_model, list_models, read_model  # noqa: E402
-from stillray.training.networks.importance import ImportanceNet  # noqa: E402
+from stillray.training.families import FAMILIES  # noqa: E402
 
 
-@pytest.fixture(scope="module")
-def exported(tmp_path_factory):
+@pytest.fixture(scope="module", params=["wskp-3", "kpyr-5"])
+def exported(request, tmp_path_factory):
     torch.manual_seed(3)
     folder = tmp_path_factory.mktemp("models")
-    network = ImportanceNet(load("wskp-3"))
+    spec = load(request.param)
+    network = FAMILIES[spec.family].network(spec)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        path = to_onnx.export(network, load("wskp-3"), {"steps": 0, "scores": {"psnr": 1}}, folder)
-    return network, path
+        path = to_onnx.export(network, spec, {"steps": 0, "scores": {"psnr": 1}}, folder)
+    return spec, network, path
 
 
 def test_exported_file_carries_its_spec_and_provenance(exported):
-    _, path = exported
+    spec, network, path = exported
     info = read_model(path)
-    assert info.spec == load("wskp-3")
+    assert info.spec == spec
     assert info.scores == {"psnr": 1}
-    assert info.parameters == sum(p.numel() for p in fuse(exported[0]).parameters())
+    assert info.parameters == sum(p.numel() for p in fuse(network).parameters())
     assert b"/site-packages/" not in path.read_bytes()
 
 
 def test_both_graphs_agree_with_the_network_at_every_size(exported):
-    network, path = exported
-    whole = path.with_name(f"wskp-3{WHOLE_SUFFIX}.onnx")
-    worst = parity.check(
-        network, fuse(network), path.read_bytes(), whole.read_bytes(), load("wskp-3")
-    )
+    spec, network, path = exported
+    whole = path.with_name(f"{spec.name}{WHOLE_SUFFIX}.onnx")
+    worst = parity.check(network, fuse(network), path.read_bytes(), whole.read_bytes(), spec)
     assert set(worst) == {
         "branches logits",
         "merged logits",
@@ -52,29 +51,29 @@ def test_both_graphs_agree_with_the_network_at_every_size(exported):
 
 
 def test_parity_fails_loudly_when_one_weight_is_off(exported):
-    network, path = exported
-    whole = path.with_name(f"wskp-3{WHOLE_SUFFIX}.onnx")
+    spec, network, path = exported
+    whole = path.with_name(f"{spec.name}{WHOLE_SUFFIX}.onnx")
     wrong = fuse(network)
-    wrong[2].weight.data[3, 2, 1, 1] += 0.01
+    convolution = [part for part in wrong.modules() if isinstance(part, torch.nn.Conv2d)][1]
+    convolution.weight.data[3, 2, 1, 1] += 0.01
     with pytest.raises(parity.ParityError, match="fused logits must agree"):
-        parity.check(network, wrong, path.read_bytes(), whole.read_bytes(), load("wskp-3"))
+        parity.check(network, wrong, path.read_bytes(), whole.read_bytes(), spec)
 
 
-@pytest.mark.parametrize("name", ["wskp-3", "wskp-6"])
+@pytest.mark.parametrize("name", [info.name for info in list_models()])
 def test_committed_whole_graph_agrees_with_the_committed_network(name):
     import onnxruntime as ort
 
     path = find_model(name).path
     whole = path.with_name(f"{name}{WHOLE_SUFFIX}.onnx")
+    spec = find_model(name).spec
     rng = np.random.default_rng(0)
-    features = rng.uniform(0, 1, (1, 12, 33, 18)).astype(np.float32)
-    irradiance = rng.lognormal(0, 1, (1, 3, 33, 18)).astype(np.float32)
-    samples = rng.uniform(0.1, 8, (1, 1, 33, 18)).astype(np.float32)
-    logits = ort.InferenceSession(str(path)).run(None, {"features": features})[0]
-    image = ort.InferenceSession(str(whole)).run(
-        None, {"features": features, "irradiance": irradiance, "samples": samples}
-    )[0]
-    decoded = parity.decoded(irradiance, samples, logits, find_model(name).spec)
+    features = rng.uniform(0, 1, (1, len(spec.network.features), 32, 48)).astype(np.float32)
+    arrays = parity.random_arrays(rng, 32, 48)
+    logits = ort.InferenceSession(str(path)).run(None, {"features": features})
+    given = {key: arrays[key] for key in FAMILIES[spec.family].inputs}
+    (image,) = ort.InferenceSession(str(whole)).run(None, {"features": features, **given})
+    decoded = parity.decoded(arrays, logits, spec)
     np.testing.assert_allclose(image, decoded["runtime decoder"], rtol=parity.IMAGE_TOLERANCE)
 
 

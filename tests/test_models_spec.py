@@ -14,7 +14,7 @@ def data():
     return json.loads(load("wskp-3").to_json())
 
 
-@pytest.mark.parametrize("name", ["wskp-3", "wskp-6"])
+@pytest.mark.parametrize("name", ["wskp-3", "wskp-6", "kpyr-5"])
 def test_spec_survives_the_metadata_of_a_model(name):
     spec = load(name)
     assert from_json(spec.to_json()) == spec
@@ -56,8 +56,24 @@ def test_a_value_beyond_its_rule_is_named(data, section, key, value, rule):
         parse(data)
 
 
+def test_a_family_has_tables_of_its_own(data):
+    data["family"] = "kernel-pyramid"
+    with pytest.raises(SpecError, match=r"unknown key|missing key (network|decoder)\."):
+        parse(data)
+    data["family"] = "bilateral-gird"
+    with pytest.raises(SpecError, match="family must be one of weight-sharing-kernels"):
+        parse(data)
+
+
+def test_a_pyramid_names_the_list_that_is_too_short():
+    data = json.loads(load("kpyr-5").to_json())
+    data["network"]["encoder_blocks"].pop()
+    with pytest.raises(SpecError, match=r"network.encoder_blocks must have 5 entries"):
+        parse(data)
+
+
 def test_unknown_model_lists_those_there_are():
-    with pytest.raises(SpecError, match=r"one of wskp-3, wskp-6, got wskp-7"):
+    with pytest.raises(SpecError, match=r"one of kpyr-5, wskp-3, wskp-6, got wskp-7"):
         load("wskp-7")
 
 

@@ -6,10 +6,12 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from stillray import pyramid  # noqa: E402
 from stillray.export.fuse import fuse  # noqa: E402
 from stillray.models_spec import load  # noqa: E402
+from stillray.training.families import FAMILIES  # noqa: E402
 from stillray.training.networks.importance import ImportanceNet  # noqa: E402
-from stillray.training.networks.repvgg import RepVGGBlock  # noqa: E402
+from stillray.training.networks.repvgg import RepVGGBlock, by_branches  # noqa: E402
 from stillray.training.train import without_branches  # noqa: E402
 
 
@@ -19,7 +21,9 @@ def test_block_s_one_convolution_equals_its_branches(width_in, width_out):
     block = RepVGGBlock(width_in, width_out, (5, 3, 1), identity=True, activation=True).double()
     assert block.identity == (width_in == width_out)
     image = torch.randn(2, width_in, 9, 7, dtype=torch.float64)
-    torch.testing.assert_close(block(image), block.forward_branches(image))
+    merged = block(image)
+    with by_branches(block):
+        torch.testing.assert_close(merged, block(image))
 
 
 def test_block_s_gradients_equal_those_of_its_branches():
@@ -27,29 +31,31 @@ def test_block_s_gradients_equal_those_of_its_branches():
     block = RepVGGBlock(4, 4, (5, 3, 1), identity=True, activation=True).double()
     image = torch.randn(1, 4, 6, 6, dtype=torch.float64)
     merged = torch.autograd.grad(block(image).square().sum(), list(block.parameters()))
-    branches = torch.autograd.grad(
-        block.forward_branches(image).square().sum(), list(block.parameters())
-    )
+    with by_branches(block):
+        branches = torch.autograd.grad(block(image).square().sum(), list(block.parameters()))
     for one, other in zip(merged, branches, strict=True):
         torch.testing.assert_close(one, other)
 
 
-@pytest.mark.parametrize("name", ["wskp-3", "wskp-6"])
+@pytest.mark.parametrize("name", ["wskp-3", "wskp-6", "kpyr-5"])
 def test_fused_network_equals_the_trained_one_which_stays_as_it_was(name):
     torch.manual_seed(0)
-    network = ImportanceNet(load(name)).double()
+    spec = load(name)
+    network = FAMILIES[spec.family].network(spec).double()
     before = {key: value.clone() for key, value in network.state_dict().items()}
     fused = fuse(network)
-    features = torch.randn(1, 12, 33, 18, dtype=torch.float64)
-    torch.testing.assert_close(fused(features), network.forward_branches(features))
-    fused[0].weight.data.zero_()
+    features = torch.randn(1, len(spec.network.features), 32, 48, dtype=torch.float64)
+    with by_branches(network):
+        torch.testing.assert_close(fused(features), network(features))
+    for parameter in fused.parameters():
+        parameter.data.zero_()
     for key, value in network.state_dict().items():
         torch.testing.assert_close(value, before[key])
 
 
 def test_fused_networks_differ_in_depth_and_have_one_convolution_a_block():
     for name, blocks in (("wskp-3", 3), ("wskp-6", 6)):
-        layers = list(fuse(ImportanceNet(load(name))))
+        layers = list(fuse(ImportanceNet(load(name))).modules())
         convolutions = [layer for layer in layers if isinstance(layer, torch.nn.Conv2d)]
         assert len(convolutions) == blocks
         assert all(layer.kernel_size == (5, 5) for layer in convolutions)
@@ -64,3 +70,13 @@ def test_plain_variant_fuses_to_the_same_shape_with_fewer_weights_in_training():
     count = [sum(p.numel() for p in network.parameters()) for network in (full, bare)]
     assert count[0] > count[1]
     assert [p.shape for p in fuse(full).parameters()] == [p.shape for p in fuse(bare).parameters()]
+
+
+def test_pyramid_gives_a_map_a_level_and_starts_unresolved():
+    spec = load("kpyr-5")
+    network = FAMILIES[spec.family].network(spec)
+    features = torch.zeros(2, len(spec.network.features), 32, 48)
+    maps = network(features)
+    assert [tuple(level.shape[2:]) for level in maps] == [(32 >> i, 48 >> i) for i in range(5)]
+    resolve = pyramid.level_layout(0, 5, spec.decoder).resolve
+    assert float(maps[0][:, resolve].mean()) < -2

@@ -109,8 +109,31 @@ def test_training_lowers_the_loss_and_resumes_where_it_stopped(data, small, tmp_
     examples = list(load_examples(find_sequences(data)[0], small, Strips(1)))
     batch = PatchSampler(examples, small).batch(999)
     torch.manual_seed(small.training.seed)
-    before = train.reconstruct_loss(train.ImportanceNet(small), batch, small)
+    before = train.reconstruct_loss(train.FAMILIES[small.family].network(small), batch, small)
     assert train.reconstruct_loss(whole, batch, small) < before
+
+
+def test_a_recurrent_model_learns_from_its_own_previous_outputs(data, tmp_path):
+    spec = load("kpyr-5")
+    recipe = dataclasses.replace(
+        spec.training, steps=4, batch=1, patch=32, history_from=2, history_every=2
+    )
+    spec = dataclasses.replace(spec, training=recipe)
+    seen = []
+    original = train.PatchSampler.batch
+    try:
+        train.PatchSampler.batch = lambda self, step: (
+            seen.append(self._examples[1]) or original(self, step)
+        )
+        train.train(spec, [data], tmp_path, save_every=4)
+    finally:
+        train.PatchSampler.batch = original
+    valid = [example.previous[..., 3].mean() for example in seen]
+    assert valid[0] == valid[1] == 0
+    assert valid[2] > 0.9
+    # after one renewal of an untrained network, the output is near the accumulated radiance
+    assert np.isfinite(seen[3].previous).all()
+    assert (tmp_path / train.PREVIOUS).is_file()
 
 
 def test_a_checkpoint_of_another_network_is_refused(data, small, tmp_path):

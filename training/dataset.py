@@ -14,9 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from stillray import encode
+from stillray.denoiser import Denoiser
 from stillray.exr import read_exr
 from stillray.models_spec import ModelSpec
 from stillray.prepare import History, prepare
+from stillray.recall import recalled
 from stillray.strips import Strips
 from stillray.training.simulate.sequence import is_complete
 
@@ -85,6 +87,30 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> Iterator[E
             previous=np.zeros_like(history.mean),
             reference=reference,
         )
+
+
+def previous_outputs(sequence: Path, model: Path, strips: Strips) -> list[np.ndarray]:
+    """What a model, run as users run it, remembers at the last frame of a sequence.
+
+    Returns
+    -------
+    list of (h, w, 4) arrays
+        For each of the starting frames: radiance of the previous output at the pixels of the last
+        frame, and how much of it is valid.
+    """
+    frames = [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
+    remembered = []
+    with Denoiser(model, threads=1) as denoiser:
+        for count in STARTS:
+            denoiser.reset()
+            for frame in frames[-count:-1]:
+                denoiser.denoise(frame)
+            prepared = prepare(frames[-1], denoiser.model.spec, denoiser.history, strips, {})
+            previous = recalled(denoiser.history, prepared, strips, {})
+            remembered.append(
+                np.zeros((*frames[-1].shape, 4), np.float32) if previous is None else previous
+            )
+    return remembered
 
 
 class PatchSampler:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +10,13 @@ from torch import Tensor, nn
 
 from stillray.models_spec import ModelSpec
 from stillray.models_spec.loader import FusedKernels, PyramidKernels
+from stillray.training.decoders.boxes import BoxMean
 from stillray.training.decoders.fused_kernels import fused_kernels
 from stillray.training.decoders.pyramid import kernel_pyramid, resolve
 from stillray.training.networks.importance import ImportanceNet
 from stillray.training.networks.pyramid import PyramidNet
+
+BoxFilter = Callable[[Tensor, int], Tensor]
 
 
 @dataclass(frozen=True)
@@ -24,24 +27,36 @@ class Family:
     ----------
     network
         Makes the network of a specification.
-    reconstruct
-        From what the network gave and the tensors of a `stillray.training.dataset.Batch`, by name,
-        to the ``(n, 3, h, w)`` radiance.
+    decode
+        From what the network gave, the tensors of a `stillray.training.dataset.Batch` by name, the
+        specification and a box filter, to ``(n, 3, h, w)``.
+    inputs
+        The tensors that `decode` takes.
+    modulates
+        Whether `decode` gives radiance; otherwise irradiance, to be multiplied by the divisor.
     """
 
     network: Callable[[ModelSpec], nn.Module]
-    reconstruct: Callable[[Any, dict[str, Tensor], ModelSpec], Tensor]
+    decode: Callable[[Any, Mapping[str, Tensor], ModelSpec, BoxFilter], Tensor]
+    inputs: tuple[str, ...]
+    modulates: bool
+
+    def radiance(self, outputs: Any, batch: Mapping[str, Tensor], spec: ModelSpec) -> Tensor:
+        """The ``(n, 3, h, w)`` radiance that a network's outputs stand for."""
+        image = self.decode(outputs, batch, spec, BoxMean.apply)
+        return image if self.modulates else image * batch["divisor"]
 
 
-def _fused(logits: Tensor, batch: dict[str, Tensor], spec: ModelSpec) -> Tensor:
+def _fused(logits: Tensor, batch: Mapping[str, Tensor], spec: ModelSpec, box: BoxFilter) -> Tensor:
     assert isinstance(spec.decoder, FusedKernels)
-    image = fused_kernels(batch["irradiance"], batch["samples"], logits, spec.decoder)
-    return image * batch["divisor"]
+    return fused_kernels(batch["irradiance"], batch["samples"], logits, spec.decoder, box)
 
 
-def _pyramid(logits: tuple[Tensor, ...], batch: dict[str, Tensor], spec: ModelSpec) -> Tensor:
+def _pyramid(
+    logits: tuple[Tensor, ...], batch: Mapping[str, Tensor], spec: ModelSpec, box: BoxFilter
+) -> Tensor:
     assert isinstance(spec.decoder, PyramidKernels)
-    image = kernel_pyramid(batch["irradiance"], batch["samples"], logits, spec.decoder)
+    image = kernel_pyramid(batch["irradiance"], batch["samples"], logits, spec.decoder, box)
     return resolve(
         image * batch["divisor"], logits[0], batch["previous"], batch["valid"], spec.decoder
     )
@@ -49,6 +64,13 @@ def _pyramid(logits: tuple[Tensor, ...], batch: dict[str, Tensor], spec: ModelSp
 
 #: By the name that specifications use.
 FAMILIES = {
-    "weight-sharing-kernels": Family(ImportanceNet, _fused),
-    "kernel-pyramid": Family(PyramidNet, _pyramid),
+    "weight-sharing-kernels": Family(
+        ImportanceNet, _fused, inputs=("irradiance", "samples"), modulates=False
+    ),
+    "kernel-pyramid": Family(
+        PyramidNet,
+        _pyramid,
+        inputs=("irradiance", "samples", "divisor", "previous", "valid"),
+        modulates=True,
+    ),
 }

@@ -27,11 +27,20 @@ from stillray.errors import InputError
 from stillray.exr import atomic_path
 from stillray.models_spec import ModelSpec, load
 from stillray.strips import Strips
-from stillray.training.dataset import Batch, Example, PatchSampler, find_sequences, load_examples
+from stillray.training.dataset import (
+    STARTS,
+    Batch,
+    Example,
+    PatchSampler,
+    find_sequences,
+    load_examples,
+    previous_outputs,
+)
 from stillray.training.families import FAMILIES
 from stillray.training.losses import displayed_error, smape
 
 CHECKPOINT = "checkpoint.safetensors"
+PREVIOUS = "previous.onnx"  # the model whose outputs are the previous ones of a recurrence
 _LOG_EVERY = 20  # steps
 
 
@@ -43,7 +52,7 @@ def reconstruct_loss(network: nn.Module, batch: Batch, spec: ModelSpec) -> Tenso
     }
     # channels last: the processor's convolutions of 16 channels run a third faster
     outputs = network(take["features"].contiguous(memory_format=torch.channels_last))
-    image = FAMILIES[spec.family].reconstruct(outputs, take, spec) * take["exposure"]
+    image = FAMILIES[spec.family].radiance(outputs, take, spec) * take["exposure"]
     reference = take["reference"] * take["exposure"]
     loss = smape(image, reference, spec.training.smape_epsilon)
     if spec.training.display_weight:
@@ -102,11 +111,18 @@ def train(spec: ModelSpec, data: list[Path], out: Path, *, save_every: int = 200
             progress.advance(loading)
         _forget_after(out / "log.csv", step)
         (out / "data.json").write_text(json.dumps([path.name for path in sequences], indent=1))
+        recipe = spec.training
+        if recipe.history_from and (out / PREVIOUS).is_file() and step > recipe.history_from:
+            _recall(examples, sequences, out / PREVIOUS, progress)
         sampler = PatchSampler(examples, spec)
         task = progress.add_task(spec.name, total=spec.training.steps, completed=step)
         losses: list[float] = []
         start = time.monotonic()
         while step < spec.training.steps:
+            since = step - recipe.history_from
+            if recipe.history_from and since >= 0 and since % recipe.history_every == 0:
+                _export_for_recall(network, spec, out / PREVIOUS)
+                _recall(examples, sequences, out / PREVIOUS, progress)
             for group in optimiser.param_groups:
                 group["lr"] = learning_rate(step, spec)
             loss = reconstruct_loss(network, sampler.batch(step), spec)
@@ -122,6 +138,33 @@ def train(spec: ModelSpec, data: list[Path], out: Path, *, save_every: int = 200
             if step % save_every == 0 or step == spec.training.steps:
                 _save(out / CHECKPOINT, spec, network, optimiser, step)
     return network
+
+
+def _export_for_recall(network: nn.Module, spec: ModelSpec, path: Path) -> None:
+    """Write the network as it is now, so that a resumed run recalls what this one does."""
+    # the export knows of training, not the other way round, but for this
+    from stillray.export.fuse import fuse
+    from stillray.export.to_onnx import network_graph
+
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(network_graph(fuse(network), spec, {}).SerializeToString())
+
+
+def _recall(
+    examples: list[Example], sequences: list[Path], model: Path, progress: Progress
+) -> None:
+    """Give every example the previous output of a model: one step of a recurrence, unrolled.
+
+    Gradients stop at the previous output, which grows old until it is renewed; in return the
+    recurrence costs nothing a step, and is as long as the sequence.
+    """
+    task = progress.add_task("recall", total=len(sequences))
+    for index, sequence in enumerate(sequences):
+        for place, previous in enumerate(previous_outputs(sequence, model, Strips(1))):
+            at = index * len(STARTS) + place
+            examples[at] = dataclasses.replace(examples[at], previous=previous)
+        progress.advance(task)
+    progress.remove_task(task)
 
 
 def load_network(spec: ModelSpec, checkpoint: Path) -> tuple[nn.Module, int]:

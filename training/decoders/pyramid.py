@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stillray.models_spec.loader import PyramidKernels
-from stillray.pyramid import NEIGHBOURS, TINY, level_layout
+from stillray.pyramid import NEIGHBOURS, level_layout
 from stillray.training.decoders.boxes import BoxMean
 
 
@@ -27,7 +27,7 @@ def kernel_pyramid(
     irradiance_nchw : (n, 3, h, w)
         Sizes that are multiples of 2^(levels - 1).
     samples_nchw : (n, 1, h, w)
-        Samples that each pixel holds, > 0; 0 in padding.
+        Samples that each pixel holds, > 0.
     logits
         One map a level, finest first, see `stillray.pyramid.level_layout`.
     options
@@ -49,7 +49,7 @@ def kernel_pyramid(
         importance = maps[:, layout.pool].exp()
         weight = importance * held[-1]
         pooled = F.avg_pool2d(torch.cat([weight * light[-1], weight, importance], 1), 2)
-        light.append(pooled[:, :3] / (pooled[:, 3:4] + TINY))
+        light.append(pooled[:, :3] / pooled[:, 3:4])
         held.append(pooled[:, 3:4] / pooled[:, 4:])
     result: Tensor | None = None
     for level in reversed(range(levels)):
@@ -68,7 +68,7 @@ def kernel_pyramid(
         for index, size in enumerate(options.kernel_sizes):
             weight = weights[:, index : index + 1]
             sums = box(torch.cat([weight * own, weight], 1), size)
-            total = total + shares[:, index + 1 : index + 2] * (sums[:, :3] / (sums[:, 3:] + TINY))
+            total = total + shares[:, index + 1 : index + 2] * (sums[:, :3] / sums[:, 3:])
         result = total
     assert result is not None
     return result

@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import Tensor, nn
 
 from stillray.models_spec import ModelSpec
+from stillray.models_spec.loader import FusedKernels, ImportanceNetwork
 from stillray.training.networks.repvgg import RepVGGBlock
 
 
@@ -20,6 +21,8 @@ class ImportanceNet(nn.Module):
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__()
         network = spec.network
+        assert isinstance(network, ImportanceNetwork)
+        assert isinstance(spec.decoder, FusedKernels)
         outputs = 2 * len(spec.decoder.kernel_sizes)
         widths = (len(network.features), *network.widths, outputs)
         last = len(widths) - 2
@@ -34,18 +37,8 @@ class ImportanceNet(nn.Module):
             for index in range(len(widths) - 1)
         )
 
-    def chain(self) -> list[RepVGGBlock]:
-        """The blocks in order."""
-        return [block for block in self.blocks if isinstance(block, RepVGGBlock)]
-
     def forward(self, features_nchw: Tensor) -> Tensor:
         """``(n, features, h, w)`` to ``(n, 2 m, h, w)``: m importance maps, then m fusion maps."""
         for block in self.blocks:
             features_nchw = block(features_nchw)
-        return features_nchw
-
-    def forward_branches(self, features_nchw: Tensor) -> Tensor:
-        """The same, with every branch computed on its own."""
-        for block in self.chain():
-            features_nchw = block.forward_branches(features_nchw)
         return features_nchw

@@ -72,7 +72,9 @@ class PyramidNet(nn.Module):
         )
         self.heads = nn.ModuleList(
             convolution(
-                width, level_logits(level, levels, decoder), network.kernel_size if level == 0 else 1
+                width,
+                level_logits(level, levels, decoder),
+                network.kernel_size if level == 0 else 1,
             )
             for level, width in enumerate(widths)
         )

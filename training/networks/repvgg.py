@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -12,8 +15,8 @@ class RepVGGBlock(nn.Module):
 
     Without batch normalisation the block is linear up to its ReLU, so the branches' kernels can
     be added before they meet the image: `forward` does that, one convolution instead of three,
-    with the same values and the same gradients as `forward_branches`, which is kept as the
-    definition that tests and the export compare with.
+    with the same values and the same gradients. `by_branches` switches to the definition, which
+    tests and the export compare with.
 
     Parameters
     ----------
@@ -43,6 +46,7 @@ class RepVGGBlock(nn.Module):
         self.kernel_size = max(branches)
         self.identity = identity and width_in == width_out
         self.activation = activation
+        self.merged = True
 
     def branches(self) -> list[nn.Conv2d]:
         """The trained convolutions, largest first as they were named."""
@@ -67,13 +71,24 @@ class RepVGGBlock(nn.Module):
 
     def forward(self, planes_nchw: Tensor) -> Tensor:
         """``(n, width_in, h, w)`` to ``(n, width_out, h, w)``, borders padded with zeros."""
-        weight, bias = self.fused()
-        result = F.conv2d(planes_nchw, weight, bias, padding=self.kernel_size // 2)
+        if self.merged:
+            weight, bias = self.fused()
+            result = F.conv2d(planes_nchw, weight, bias, padding=self.kernel_size // 2)
+        else:
+            result = torch.stack([branch(planes_nchw) for branch in self.branches()]).sum(0)
+            if self.identity:
+                result = result + planes_nchw
         return F.relu(result) if self.activation else result
 
-    def forward_branches(self, planes_nchw: Tensor) -> Tensor:
-        """The same, branch by branch as the paper draws it."""
-        result = torch.stack([branch(planes_nchw) for branch in self.branches()]).sum(0)
-        if self.identity:
-            result = result + planes_nchw
-        return F.relu(result) if self.activation else result
+
+@contextmanager
+def by_branches(network: nn.Module) -> Iterator[None]:
+    """Compute every branch of a network's blocks on its own, as the paper draws them."""
+    blocks = [module for module in network.modules() if isinstance(module, RepVGGBlock)]
+    for block in blocks:
+        block.merged = False
+    try:
+        yield
+    finally:
+        for block in blocks:
+            block.merged = True

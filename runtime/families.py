@@ -1,0 +1,58 @@
+"""What differs between families of models in the runtime: one reconstruction each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillray import kernels, pyramid
+from stillray.models_spec.loader import ModelSpec
+from stillray.prepare import Prepared
+from stillray.strips import Strips
+
+
+@dataclass(frozen=True)
+class Family:
+    """One family of models.
+
+    Attributes
+    ----------
+    reconstruct
+        From a prepared frame, the previous output at its pixels (or None), the network's outputs
+        without their batch axis, the specification, where to run and the timings to fill in, to
+        the ``(h, w, 3)`` float32 radiance.
+    multiple
+        Height and width of the network's input must be multiples of this, pixels.
+    recalls
+        Whether the previous output is used.
+    method
+        What the reconstruction does, in a few words.
+    """
+
+    reconstruct: Callable[
+        [
+            Prepared,
+            np.ndarray | None,
+            Sequence[np.ndarray],
+            ModelSpec,
+            Strips,
+            dict[str, float],
+        ],
+        np.ndarray,
+    ]
+    multiple: Callable[[ModelSpec], int]
+    recalls: bool
+    method: Callable[[ModelSpec], str]
+
+
+#: By the name that specifications use.
+FAMILIES = {
+    "weight-sharing-kernels": Family(
+        kernels.reconstruct, lambda spec: 1, recalls=False, method=kernels.method
+    ),
+    "kernel-pyramid": Family(
+        pyramid.reconstruct, pyramid.multiple, recalls=True, method=pyramid.method
+    ),
+}

@@ -1,0 +1,66 @@
+"""The previous output, brought to the current pixels."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from stillray.prepare import History, Prepared, timed
+from stillray.reproject import positions
+from stillray.strips import Strips
+
+_LEAST_VALID = np.float32(1e-3)  # of a tap: below, light fades instead of being normalised
+
+
+def recalled(
+    history: History | None, prepared: Prepared, strips: Strips, timings: dict[str, float]
+) -> np.ndarray | None:
+    """The previous output at a prepared frame's pixels, or None where there is no past."""
+    if history is None or history.output is None or prepared.motion is None:
+        return None
+    if history.output.shape[:2] != prepared.motion.shape[:2]:
+        return None
+    with timed(timings, "recall"):
+        return recall(history.output, prepared.motion, strips)
+
+
+def remember(image: np.ndarray) -> np.ndarray:
+    """An output as the next frame wants it: ``(h, w, 4)``, a copy, with 1 for "valid" last."""
+    return cv2.cvtColor(image, cv2.COLOR_RGB2RGBA)  # alpha of float images is 1
+
+
+def recall(output: np.ndarray, motion: np.ndarray, strips: Strips) -> np.ndarray:
+    """Follow the motion back into the previous output.
+
+    No geometry is compared: the edges of an output are smooth, as those of a photograph are, and
+    the network decides by what it sees how much of the past a pixel keeps.
+
+    Parameters
+    ----------
+    output : (h, w, 4) float32
+        See `remember`.
+    motion : (h, w, 2) float32
+        Pixels, finite.
+
+    Returns
+    -------
+    (h, w, 4) float32
+        Radiance, bilinear, and how much of it lay in the frame, [0, 1]; zeros outside.
+    """
+    if not motion.any():
+        return output
+    height, width = motion.shape[:2]
+    past = np.empty((height, width, 4), np.float32)
+
+    def work(rows: slice) -> None:
+        x, y = positions(motion[rows], rows, height)
+        # exact at four channels; for some other counts OpenCV rounds positions to 1/32 pixel
+        taken = cv2.remap(
+            output, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
+        )
+        # at the border of the frame: the mean of the taps that there are
+        taken[..., :3] /= np.maximum(taken[..., 3:], _LEAST_VALID)
+        past[rows] = taken
+
+    strips.run(work, height, width)
+    return past
