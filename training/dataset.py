@@ -23,6 +23,7 @@ from stillray.strips import Strips
 from stillray.training.simulate.sequence import is_complete
 
 STARTS = (1, 3, 8)  # frames accumulated before the last one is learned from
+_AT_BORDER = 0.3  # share of patches that touch the top or bottom, and the left or right
 _FLAT = 0.05  # relative contrast of a reference patch below which there is little to learn
 
 
@@ -140,8 +141,7 @@ class PatchSampler:
         for _ in range(8):  # look for a patch in which there is something to learn
             example = self._examples[rng.integers(len(self._examples))]
             height, width = example.reference.shape[:2]
-            top = int(rng.integers(0, max(height - size, 0) + 1))
-            left = int(rng.integers(0, max(width - size, 0) + 1))
+            top, left = (_offset(rng, length - size) for length in (height, width))
             window = (slice(top, top + size), slice(left, left + size))
             light = example.reference[window].mean(axis=-1)
             if light.std() > _FLAT * light.mean() and light.mean() > 0:
@@ -199,6 +199,19 @@ class PatchSampler:
             "reference": _chw(reference),
             "exposure": np.full((1, 1, 1), exposure, np.float32),
         }
+
+
+def _offset(rng: np.random.Generator, room: int) -> int:
+    """Where a patch begins: anywhere, and often enough at the border of the frame.
+
+    Where the camera moves, new pixels of one sample appear beside what was accumulated, there and
+    nowhere else; drawn evenly, a patch almost never held a border.
+    """
+    room = max(room, 0)
+    border = rng.random()
+    if border < _AT_BORDER:
+        return 0 if border < _AT_BORDER / 2 else room
+    return int(rng.integers(0, room + 1))
 
 
 def _chw(image: np.ndarray) -> np.ndarray:

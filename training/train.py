@@ -112,7 +112,8 @@ def train(spec: ModelSpec, data: list[Path], out: Path, *, save_every: int = 200
         _forget_after(out / "log.csv", step)
         (out / "data.json").write_text(json.dumps([path.name for path in sequences], indent=1))
         recipe = spec.training
-        if recipe.history_from and (out / PREVIOUS).is_file() and step > recipe.history_from:
+        resumed = recipe.history_from and step > recipe.history_from
+        if resumed and (step - recipe.history_from) % recipe.history_every:
             _recall(examples, sequences, out / PREVIOUS, progress)
         sampler = PatchSampler(examples, spec)
         task = progress.add_task(spec.name, total=spec.training.steps, completed=step)
