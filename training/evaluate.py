@@ -117,9 +117,10 @@ def evaluate_scene(
 def _last_referenced(scene: Path) -> tuple[list[Path], list[np.ndarray]]:
     """Frames up to the last with a reference, and the references of the last run of frames."""
     with_reference = {path.name.replace("ref", "frame"): path for path in scene.glob("ref_*.exr")}
-    paths = [path for path in sorted(scene.glob("frame_*.exr")) if path.name <= max(with_reference)]
-    if paths[-1].name not in with_reference:
-        raise InputError(f"{scene}: a reference must have its frame {max(with_reference)}")
+    last = max(with_reference)
+    if not (scene / last).is_file():
+        raise InputError(f"{scene}: a reference must have its frame, got none for {last}")
+    paths = [path for path in sorted(scene.glob("frame_*.exr")) if path.name <= last]
     run = list(takewhile(lambda path: path.name in with_reference, reversed(paths)))
     return paths, [read_exr(with_reference[path.name]).color for path in reversed(run)]
 

@@ -183,7 +183,7 @@ def regress(
     noise = rng.uniform(-options.noise, options.noise, blocks[..., 1:].shape)
     shaken[..., 1:count] += noise
     # the last columns of R are Q^T colours, so that Q is never built
-    r = np.linalg.qr(shaken, mode="r")
+    r = np.asarray(np.linalg.qr(shaken, mode="r"))
     weights: np.ndarray = np.linalg.solve(r[:, :count, :count], r[:, :count, count:])
     return weights
 

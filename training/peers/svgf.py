@@ -34,7 +34,9 @@ DEPTH_EPSILON = 1e-3
 LUMINANCE_EPSILON = 1e-10  # irradiance: keeps 0/0 out where variance is 0 (eq. 5)
 _VARIANCE_REACH = 3  # pixels: windows of 7x7
 _SUM = np.ones((1, 3), np.float32)
-_TINY = np.float32(1e-30)  # weight sum: keeps 0/0 out
+# unit of depth: where nothing was hit, all that was hit is far away; yet the largest depth over it
+# is a float32
+_NO_DEPTH = np.float32(1e-18)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,7 +201,7 @@ def estimate_variance(
             weight = _geometry_weight(edges, tap, options)
             total[:, *tap.out] += weight * planes[:, *tap.there]
             weight_sum[tap.out] += weight
-        first, second = total / np.maximum(weight_sum, _TINY)
+        first, second = total / weight_sum  # the centre weighs 1
         spatial[rows] = np.maximum(second - first**2, 0)
 
     strips.run(work, height, width)
@@ -275,7 +277,7 @@ def _geometry_weight(
         edges.slope_x[tap.here] * np.float32(tap.dx) + edges.slope_y[tap.here] * np.float32(tap.dy)
     )
     expected *= np.float32(options.depth_sigma)
-    expected += np.float32(DEPTH_EPSILON) * depth + _TINY
+    expected += np.float32(DEPTH_EPSILON) * depth + _NO_DEPTH
     apart = np.abs(depth - edges.depth[tap.there]) / expected + exponent
     weight = cv2.exp(np.negative(apart, out=apart))
     cosine = cv2.transform(edges.normal[tap.here] * edges.normal[tap.there], _SUM)
