@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("scipy")
 
-from stillray.training.peers.bmfr import BmfrOptions, block_offset, features, fit, regress
+from stillray.training.peers.bmfr import Bmfr, BmfrOptions, block_offset, features, fit, regress
 from stillray.training.peers.sequence import SequenceOptions, prepare
 from tests.conftest import make_frame
 
@@ -95,3 +95,18 @@ def test_blocks_are_displaced_from_frame_to_frame():
     assert len(offsets) == 16
     assert all(0 <= part < 32 for offset in offsets for part in offset)
     assert block_offset(0, OPTIONS) == block_offset(16, OPTIONS)
+
+
+def test_samples_and_fits_are_both_accumulated():
+    stream = Bmfr()
+    irradiance, fits = [], []
+    for index in range(3):
+        frame = make_frame(40, 50, index)
+        stream.denoise(frame)
+        buffers = prepare(frame, None, SequenceOptions())
+        irradiance.append(buffers.irradiance)
+        mean = np.mean(irradiance, axis=0).astype(np.float32)
+        fits.append(fit(mean, features(buffers), index, OPTIONS))
+    np.testing.assert_allclose(stream.history.color[..., :3], mean, rtol=1e-5, atol=1e-6)
+    wanted = np.mean(fits, axis=0)
+    np.testing.assert_allclose(stream.history.filtered[..., :3], wanted, rtol=1e-3, atol=1e-4)

@@ -179,3 +179,29 @@ def test_smooth_light_of_a_static_noiseless_scene_comes_back():
     errors = [np.abs(stream.denoise(frame) / frame.color - 1).max() for _ in range(40)]
     assert errors[0] > 0.05
     assert errors[-1] < 0.01
+
+
+def test_moments_are_accumulated_over_frames():
+    stream = Svgf()
+    lights = []
+    for seed in range(2):
+        frame = make_frame(20, 30, seed)
+        stream.denoise(frame)
+        lights.append(luminance(prepare(frame, None, OPTIONS.sequence).irradiance))
+    moments = stream.history.moments
+    np.testing.assert_allclose(moments[..., 0], np.mean(lights, axis=0), rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(moments[..., 1], np.mean(np.square(lights), axis=0), rtol=1e-5)
+
+
+def test_the_first_frame_goes_through_passes_of_doubling_steps():
+    frame = make_frame(40, 70)
+    buffers = prepare(frame, None, OPTIONS.sequence)
+    edges = find_edges(buffers)
+    light = luminance(buffers.irradiance)
+    ones = np.ones_like(light)
+    moments = np.stack([light, light**2], -1)
+    mean = buffers.irradiance
+    variance = estimate_variance(moments, ones, edges, OPTIONS, STRIPS)
+    for step in (1, 2, 4, 8, 16):
+        mean, variance = wavelet_pass(mean, variance, edges, step, OPTIONS, STRIPS)
+    np.testing.assert_allclose(Svgf().denoise(frame), mean * buffers.divisor, rtol=1e-4, atol=1e-6)
