@@ -182,7 +182,7 @@ def main(
     if validation is not None:
         with tempfile.TemporaryDirectory() as folder:
             unscored = str(export(network, spec, about, Path(folder)))
-            scores = evaluate_folder(validation, {"model": unscored}, peers=False)
+            scores = evaluate_folder(validation, {"model": unscored}, peers=())
         about["scores"] = {
             name: round(value, 4) for name, value in mean_scores(scores)["model"].items()
         }

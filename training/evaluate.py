@@ -1,13 +1,17 @@
 """``python -m stillray.training.evaluate VALIDATION``: quality on sequences with references.
 
-Every method sees the same frames in order; the last frame of each sequence counts. Open Image
-Denoise is fed the raw frame, as its users do, and the accumulated one, as ours are.
+Every method sees the same raw frames in order; the last frame of each sequence counts, and for
+flicker and FovVideoVDP the frames with references just before it. Open Image Denoise, which
+remembers nothing, is also fed the accumulated frame, as our kernels are.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import Annotated
 
@@ -26,7 +30,8 @@ from stillray.prepare import History, prepare
 from stillray.registry import find_model, list_models
 from stillray.strips import Strips
 from stillray.training import metrics
-from stillray.training.peers import OIDN_QUALITIES, open_image_denoise
+from stillray.training.metrics import METRICS
+from stillray.training.peers import PEERS, find_peer
 
 Scores = dict[str, dict[str, dict[str, float]]]  # method -> scene -> metric -> value
 _REPORT_HEAD = """# Quality on validation
@@ -36,12 +41,14 @@ each sequence, 640x360, 1 sample per pixel; six frames are accumulated where a m
 them, and "one frame" says where not. PSNR, SSIM and FLIP after exposure to a median of 0.2 and a
 power of 1 / 2.2, SMAPE and relative MSE of exposed radiance. No model was trained on these scenes;
 the outlier ratio and the albedo floor of the specs were chosen on them, so read these figures as
-validation, not as a test. OIDN is Open Image Denoise with albedo and normal, fed the raw frame, or
-the frame as accumulated for our kernels. Flicker is the mean absolute error of the tone-mapped
-difference between the last two frames.
+validation, not as a test. SVGF (Schied et al. 2017) and BMFR (Koskela et al. 2019) are our own
+implementations in `training/peers`, with published parameters, which remember frames too. OIDN is
+Open Image Denoise with albedo and normal, fed the raw frame, or the frame as accumulated for our
+kernels. Flicker is the mean absolute error of the tone-mapped difference between the last two
+frames. FovVideoVDP (Mantiuk et al. 2021) sees the same two frames, at 30 frames a second after a
+still of the first, on a 24-inch Full HD monitor of 200 cd/m², 38 pixels a degree, not foveated.
 
 """
-METRICS = ("psnr", "ssim", "smape", "relmse", "flip", "flicker")
 
 
 def find_scenes(folder: Path) -> list[Path]:
@@ -57,9 +64,9 @@ def find_scenes(folder: Path) -> list[Path]:
 
 
 def evaluate_scene(
-    scene: Path, models: Mapping[str, str], *, peers: bool, pictures: Path | None = None
+    scene: Path, models: Mapping[str, str], *, peers: Sequence[str], pictures: Path | None = None
 ) -> Iterator[tuple[str, dict[str, float]]]:
-    """Method name and metrics, one after the other, of a sequence's last referenced frame.
+    """Method name and metrics, one after the other, of a sequence's last referenced frames.
 
     Parameters
     ----------
@@ -68,27 +75,20 @@ def evaluate_scene(
     models
         Label to model, as `stillray.Denoiser` takes it.
     peers
-        Run Open Image Denoise too.
+        Names of peers to run too, see `stillray.training.peers.PEERS`.
     pictures
         Folder for tone-mapped PNGs.
     """
-    reference_paths = sorted(scene.glob("ref_*.exr"))
-    last = scene / reference_paths[-1].name.replace("ref", "frame")
-    paths = [path for path in sorted(scene.glob("frame_*.exr")) if path <= last]
+    paths, references = _last_referenced(scene)
     frames = [read_exr(path) for path in paths]
-    reference = read_exr(reference_paths[-1]).color
-    before = [scene / path.name.replace("frame", "ref") for path in paths[-2:-1]]
-    reference_before = read_exr(before[0]).color if set(before) & set(reference_paths) else None
+    count = len(references)
     if pictures:
-        _picture(pictures, scene.name, "reference", reference, reference)
+        _picture(pictures, scene.name, "reference", references[-1], references[-1])
 
     def scored(name: str, images: list[np.ndarray]) -> tuple[str, dict[str, float]]:
         if pictures:
-            _picture(pictures, scene.name, name, images[-1], reference)
-        values = metrics.evaluate(images[-1], reference)
-        if reference_before is not None:
-            values["flicker"] = metrics.flicker(images[-2], images[-1], reference_before, reference)
-        return name, values
+            _picture(pictures, scene.name, name, images[-1], references[-1])
+        return name, metrics.evaluate(images[-count:], references)
 
     yield scored("noisy", [frame.color for frame in frames])
     accumulated = accumulate_frames(frames, next(iter(models.values())))
@@ -97,19 +97,33 @@ def evaluate_scene(
         with Denoiser(model) as denoiser:
             yield scored(label, [denoiser.denoise(frame) for frame in frames])
         with Denoiser(model, temporal=False) as denoiser:
-            images = [denoiser.denoise(frame) for frame in frames[-2:]]
-            yield scored(f"{label}, one frame", images)
-    if peers:
-        for source, colors in (
-            ("", [frame.color for frame in frames[-2:]]),
-            (", accumulated", accumulated[-2:]),
-        ):
-            for quality in OIDN_QUALITIES:
-                images = [
-                    open_image_denoise(color, frame.albedo, frame.normal, quality)
-                    for color, frame in zip(colors, frames[-2:], strict=True)
-                ]
-                yield scored(f"OIDN {quality}{source}", images)
+            yield scored(
+                f"{label}, one frame", [denoiser.denoise(frame) for frame in frames[-count:]]
+            )
+    chosen = [find_peer(name) for name in peers]
+    for peer in chosen:
+        stream = peer.make()
+        seen = frames if peer.remembers else frames[-count:]
+        yield scored(peer.label, [stream.denoise(frame) for frame in seen])
+    ready = [
+        dataclasses.replace(frame, color=color)
+        for frame, color in zip(frames[-count:], accumulated[-count:], strict=True)
+    ]
+    for peer in chosen:
+        if not peer.remembers:
+            stream = peer.make()
+            yield scored(f"{peer.label}, accumulated", [stream.denoise(frame) for frame in ready])
+
+
+def _last_referenced(scene: Path) -> tuple[list[Path], list[np.ndarray]]:
+    """Frames up to the last with a reference, and the references of the last run of frames."""
+    with_reference = {path.name.replace("ref", "frame"): path for path in scene.glob("ref_*.exr")}
+    last = max(with_reference)
+    if not (scene / last).is_file():
+        raise InputError(f"{scene}: a reference must have its frame, got none for {last}")
+    paths = [path for path in sorted(scene.glob("frame_*.exr")) if path.name <= last]
+    run = list(takewhile(lambda path: path.name in with_reference, reversed(paths)))
+    return paths, [read_exr(with_reference[path.name]).color for path in reversed(run)]
 
 
 def accumulate_frames(frames: list[Frame], model: str) -> list[np.ndarray]:
@@ -129,7 +143,7 @@ def evaluate_folder(
     folder: Path,
     models: Mapping[str, str],
     *,
-    peers: bool,
+    peers: Sequence[str],
     pictures: Path | None = None,
     progress: Callable[[list[Path]], Iterable[Path]] = iter,
 ) -> Scores:
@@ -147,7 +161,7 @@ def mean_scores(scores: Scores) -> dict[str, dict[str, float]]:
     means = {}
     for method, scenes in scores.items():
         rows = list(scenes.values())
-        names = [name for name in METRICS if all(name in row for row in rows)]
+        names = [metric.name for metric in METRICS if all(metric.name in row for row in rows)]
         means[method] = {name: float(np.mean([row[name] for row in rows])) for name in names}
     return means
 
@@ -162,17 +176,40 @@ def markdown(scores: Scores) -> str:
 
 
 def _table(title: str, rows: dict[str, dict[str, float]]) -> str:
+    measured = [metric for metric in METRICS if any(metric.name in row for row in rows.values())]
     lines = [
-        f"| {title} | PSNR dB ↑ | SSIM ↑ | SMAPE ↓ | relative MSE ↓ | FLIP ↓ | flicker ↓ |",
-        "|---|---|---|---|---|---|---|",
+        f"| {title} | " + " | ".join(metric.title for metric in measured) + " |",
+        "|---" * (len(measured) + 1) + "|",
     ]
     for method, row in rows.items():
-        lines.append(
-            f"| {method} | {row['psnr']:.2f} | {row['ssim']:.3f} | {row['smape']:.4f} "
-            f"| {row['relmse']:.3g} | {row['flip']:.3f} "
-            + (f"| {row['flicker']:.4f} |" if "flicker" in row else "| |")
-        )
+        values = (format(row[m.name], m.format) if m.name in row else "" for m in measured)
+        lines.append(f"| {method} | " + " | ".join(values) + " |")
     return "\n".join(lines) + "\n"
+
+
+def choose_peers(names: Sequence[str] | None) -> list[str]:
+    """The peers to run: those named, or all that are installed.
+
+    Raises
+    ------
+    InputError
+        A named peer does not exist or cannot run here.
+    """
+    if names is not None:
+        return [find_peer(name).name for name in dict.fromkeys(names)]
+    return [peer.name for peer in PEERS if peer.is_installed]
+
+
+def left_out(peers: Sequence[str] | None) -> str:
+    """One line that says which metrics, and peers if none were named, lack their package."""
+    absent = [(metric.name, metric.package) for metric in METRICS if not metric.is_installed]
+    if peers is None:
+        absent += [(peer.name, peer.package) for peer in PEERS if not peer.is_installed]
+    if not absent:
+        return ""
+    packages = " ".join(dict.fromkeys(package for _, package in absent))
+    names = ", ".join(name for name, _ in absent)
+    return f"left out for want of a package: {names} (pip install {packages})"
 
 
 def _picture(
@@ -189,7 +226,11 @@ def main(
         list[str] | None,
         typer.Option(help="Model, .onnx, or LABEL=one of them; repeatable; default: all."),
     ] = None,
-    peers: Annotated[bool, typer.Option(help="Run Open Image Denoise beside.")] = True,
+    peer: Annotated[
+        list[str] | None,
+        typer.Option(help=f"{', '.join(p.name for p in PEERS)}; repeatable; default: installed."),
+    ] = None,
+    peers: Annotated[bool, typer.Option(help="Run peers at all.")] = True,
     out: Annotated[Path | None, typer.Option(help="Write scores as JSON.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write the tables as Markdown.")] = None,
     pictures: Annotated[Path | None, typer.Option(help="Folder for tone-mapped PNGs.")] = None,
@@ -199,10 +240,14 @@ def main(
     models = {text.split("=")[0]: text.split("=")[-1] for text in given}
     for name in models.values():
         find_model(name)
+    named = peer if peers else []
+    chosen = choose_peers(named)
+    if line := left_out(named):
+        print(line, file=sys.stderr)
     scores = evaluate_folder(
         folder,
         models,
-        peers=peers,
+        peers=chosen,
         pictures=pictures,
         progress=lambda scenes: track(scenes, "scenes", console=Console(stderr=True)),
     )

@@ -1,8 +1,10 @@
-"""What else a user could run: Open Image Denoise, through its Python package."""
+"""Open Image Denoise, through its Python package: what most users run today."""
 
 from __future__ import annotations
 
 import numpy as np
+
+from stillray.frame import Frame
 
 OIDN_QUALITIES = ("high", "balanced", "fast")
 
@@ -26,3 +28,20 @@ def open_image_denoise(
             np.ascontiguousarray(color), albedo=albedo, normal=normal, hdr=True, quality=quality
         )
     )
+
+
+class OpenImageDenoise:
+    """`open_image_denoise` as a peer; it remembers nothing.
+
+    Parameters
+    ----------
+    quality
+        One of `OIDN_QUALITIES`.
+    """
+
+    def __init__(self, quality: str) -> None:
+        self.quality = quality
+
+    def denoise(self, frame: Frame) -> np.ndarray:
+        """Denoise a frame: radiance ``(h, w, 3)``."""
+        return open_image_denoise(frame.color, frame.albedo, frame.normal, self.quality)

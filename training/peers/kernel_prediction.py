@@ -1,0 +1,144 @@
+"""Direct kernel prediction, the learned peer "KP" of Fan et al. 2021, section 6.1.
+
+Six RepVGG blocks give every pixel its own 13x13 kernel, a channel a weight (Bako et al. 2017);
+ours give six importance maps, whose kernels neighbours share. Input, accumulation, demodulation and
+loss are the same, so that the two differ in nothing but the kernels.
+
+Not trained here: the network and `predicted_kernels` take what the training loop has in a batch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from stillray.strips import planes_of
+from stillray.training.networks.repvgg import RepVGGBlock
+
+
+@dataclass(frozen=True, kw_only=True)
+class KernelPrediction:
+    """The network and its reconstruction; defaults are the paper's six-layer variant."""
+
+    kernel_size: int = 13  # pixels, odd: filter kernels
+    widths: tuple[int, ...] = (16,) * 5  # output channels of every block but the last
+    branches: tuple[int, ...] = (5, 3, 1)  # pixels, odd: convolutions trained side by side
+    logit_bound: float = 12.0  # logits are clipped to +- this, (0, 40]
+    weigh_samples: bool = True  # multiply weights by the samples that a pixel holds
+
+
+class KernelPredictionNet(nn.Module):
+    """A chain of RepVGG blocks; the last has no ReLU, since logits may be negative.
+
+    Parameters
+    ----------
+    features
+        Input planes.
+    options
+        Widths and branches.
+    """
+
+    def __init__(self, features: int, options: KernelPrediction) -> None:
+        super().__init__()
+        widths = (features, *options.widths, options.kernel_size**2)
+        last = len(widths) - 2
+        self.blocks = nn.Sequential(
+            *(
+                RepVGGBlock(
+                    widths[index],
+                    widths[index + 1],
+                    options.branches,
+                    identity=True,
+                    activation=index != last,
+                )
+                for index in range(len(widths) - 1)
+            )
+        )
+
+    def forward(self, features_nchw: Tensor) -> Tensor:
+        """``(n, features, h, w)`` to ``(n, k k, h, w)``: logits of each pixel's kernel."""
+        logits: Tensor = self.blocks(features_nchw)
+        return logits
+
+
+def predicted_kernels(
+    irradiance_nchw: Tensor, samples_nchw: Tensor, logits_nchw: Tensor, options: KernelPrediction
+) -> Tensor:
+    """Filter every pixel with its own kernel: softmax of its logits (Bako et al. 2017).
+
+    differs: logits are bounded and weights multiplied by samples, as our own kernels have it.
+
+    Parameters
+    ----------
+    irradiance_nchw : (n, 3, h, w)
+    samples_nchw : (n, 1, h, w)
+        Samples that each pixel holds, > 0.
+    logits_nchw : (n, k k, h, w)
+        Row by row from the top left of the window. Pixels outside of the image do not count.
+
+    Returns
+    -------
+    (n, 3, h, w)
+        Differentiable in all arguments.
+    """
+    n, _, height, width = irradiance_nchw.shape
+    size = options.kernel_size
+    here = samples_nchw if options.weigh_samples else torch.ones_like(samples_nchw)
+    # zero samples outside: those taps vanish from both sums
+    planes = torch.cat([irradiance_nchw * here, here], dim=1)
+    windows = F.unfold(planes, size, padding=size // 2).view(n, 4, size**2, height, width)
+    bounded = logits_nchw.clamp(-options.logit_bound, options.logit_bound)
+    sums = (windows * bounded.softmax(dim=1)[:, None]).sum(dim=2)
+    return sums[:, :3] / sums[:, 3:]
+
+
+def filter_rows(
+    mean: np.ndarray, logits: np.ndarray, inner: slice, options: KernelPrediction
+) -> np.ndarray:
+    """The twin of `predicted_kernels` without PyTorch, for timing beside `stillray.kernels`.
+
+    Parameters
+    ----------
+    mean : (h, w, 4) float32
+        Irradiance, >= 0 and finite, and samples, > 0: an image, or a strip with its neighbouring
+        rows, ``kernel_size // 2`` of them where the image goes on.
+    logits : (k k, h, w) float32
+        Any values; NaN says nothing.
+    inner
+        The rows of the result.
+
+    Returns
+    -------
+    (rows, w, 3) float32
+        In the range of each window's irradiance.
+    """
+    size, half = options.kernel_size, options.kernel_size // 2
+    planes = planes_of(cv2.copyMakeBorder(mean, half, half, half, half, cv2.BORDER_CONSTANT))
+    *colors, samples = planes
+    if not options.weigh_samples:
+        samples = (samples > 0).astype(np.float32)
+    rows, width = inner.stop - inner.start, mean.shape[1]
+    total = np.zeros((3, rows, width), np.float32)
+    weight_sum = np.zeros((rows, width), np.float32)
+    bound = np.float32(options.logit_bound)
+    # the mean of a window instead of its sum: large radiance stays finite
+    share = np.float32(1 / size**2)
+    for index in range(size**2):
+        dy, dx = divmod(index, size)
+        tap = (slice(inner.start + dy, inner.stop + dy), slice(dx, dx + width))
+        weight = np.clip(logits[index, inner], -bound, bound)
+        cv2.exp(weight, dst=weight)
+        weight *= samples[tap]
+        weight *= share
+        weight_sum += weight
+        for plane, sums in zip(colors, total, strict=True):
+            cv2.accumulateProduct(weight, plane[tap], sums)
+    if np.isnan(weight_sum.sum()):
+        return filter_rows(mean, np.nan_to_num(logits, nan=0.0), inner, options)
+    total /= weight_sum
+    return cv2.merge(list(total))
