@@ -15,7 +15,8 @@ from stillray.families import FAMILIES
 from stillray.frame import Frame
 from stillray.models_spec.loader import ModelSpec
 from stillray.prepare import History, Prepared, prepare, timed
-from stillray.registry import ModelInfo, find_model, open_session
+from stillray.registry import ModelInfo, find_model
+from stillray.session import Network
 from stillray.strips import Strips, available_threads
 
 
@@ -64,7 +65,7 @@ class Denoiser:
         self.history: History | None = None
         #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
         self.last_timings: dict[str, float] = {}
-        self._session = open_session(
+        self._network = Network(
             self.model.path, threads=threads, providers=tuple(providers) if providers else None
         )
         self._strips = Strips(threads)
@@ -84,6 +85,7 @@ class Denoiser:
 
     def close(self) -> None:
         """Stop the worker threads."""
+        self._network.close()
         self._strips.close()
 
     def reset(self) -> None:
@@ -125,11 +127,11 @@ class Denoiser:
             previous = recall.recalled(self.history, prepared, self._strips, self.last_timings)
         features = self._encode(frame, spec, prepared, previous)
         with timed(self.last_timings, "network"):
-            outputs = self._session.run(None, {"features": features})
+            outputs = self._network.run(features)
         image = family.reconstruct(
             prepared,
             previous,
-            [output[0] for output in outputs],
+            outputs,
             spec,
             self._strips,
             self.last_timings,

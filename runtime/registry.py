@@ -11,6 +11,7 @@ from typing import Any
 
 from stillray.errors import InputError
 from stillray.models_spec.loader import ModelSpec, SpecError, from_json
+from stillray.session import open_session
 
 SPEC_KEY = "stillray.spec"
 PROVENANCE_KEY = "stillray.provenance"
@@ -107,48 +108,3 @@ def read_model(path: Path) -> ModelInfo:
         provenance=provenance,
         spec=spec,
     )
-
-
-def open_session(path: Path, *, threads: int, providers: tuple[str, ...] | None = None) -> Any:
-    """An ONNX Runtime session with set threads.
-
-    Parameters
-    ----------
-    path
-        The .onnx file.
-    threads
-        Threads of one operator.
-    providers
-        Execution providers by name; an unknown one is an error, never a silent fallback.
-
-    Raises
-    ------
-    InputError
-        The file cannot be loaded, or a provider is not installed.
-    """
-    # Imported on use: `import stillray` loads no inference engine.
-    import onnxruntime as ort
-
-    if not path.is_file():
-        raise InputError(f"{path}: no such model file")
-    wanted = list(providers or ("CPUExecutionProvider",))
-    available = ort.get_available_providers()
-    if missing := [name for name in wanted if name not in available]:
-        raise InputError(f"providers must be among {', '.join(available)}, got {missing[0]}")
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
-    options.log_severity_level = 3
-    # denoising is called between a host's own work: idle threads must not burn its cores
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    # black regions fill a network with denormals, which are ten times slower
-    options.add_session_config_entry("session.set_denormal_as_zero", "1")
-    try:
-        session = ort.InferenceSession(str(path), options, providers=wanted)
-    except Exception as error:  # ONNX Runtime raises a family of its own, without a common base
-        first_line = str(error).splitlines()[0]
-        raise InputError(f"{path}: not a usable ONNX model: {first_line}") from None
-    if (got := session.get_providers()[: len(wanted)]) != wanted:
-        raise InputError(f"providers must all start, asked for {wanted}, got {got}")
-    return session

@@ -290,6 +290,12 @@ def test_bad_threads_and_providers_are_refused():
         stillray.Denoiser("fast", providers=["Nonsense"])
 
 
+def test_the_host_s_thread_keeps_its_denormals(denoiser):
+    denoiser.denoise(make_frame(16, 16))
+    dark = np.full(64, 1e-40, np.float32)
+    assert (dark * np.float32(1) > 0).all()
+
+
 def test_import_loads_neither_training_nor_inference_engine_nor_model():
     code = (
         "import sys, stillray; heavy = {'torch', 'mitsuba', 'onnxruntime', 'onnx', 'OpenImageIO',"

@@ -1,0 +1,98 @@
+"""ONNX Runtime, kept to itself."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stillray.errors import InputError
+
+
+class Network:
+    """A model's network, which runs in a thread of its own.
+
+    Black regions fill a network with denormals, which are ten times slower than other numbers, so
+    ONNX Runtime is told to take them for zero. It does so by a mode of the thread that opens the
+    session, for good: a host would lose its own denormals, and half-precision files their darkest
+    values.
+
+    Parameters
+    ----------
+    path, threads, providers
+        As `open_session` takes them.
+    """
+
+    def __init__(self, path: Path, *, threads: int, providers: tuple[str, ...] | None) -> None:
+        self._thread = ThreadPoolExecutor(1, "stillray-network")
+        try:
+            self._session = self._thread.submit(
+                open_session, path, threads=threads, providers=providers, flush_denormals=True
+            ).result()
+        except BaseException:
+            self.close()
+            raise
+
+    def run(self, features_nchw: np.ndarray) -> list[np.ndarray]:
+        """The outputs for ``(1, features, h, w)`` float32, without their batch axis."""
+        outputs = self._thread.submit(self._session.run, None, {"features": features_nchw}).result()
+        return [output[0] for output in outputs]
+
+    def close(self) -> None:
+        """Stop the thread."""
+        self._thread.shutdown()
+
+
+def open_session(
+    path: Path,
+    *,
+    threads: int,
+    providers: tuple[str, ...] | None = None,
+    flush_denormals: bool = False,
+) -> Any:
+    """An ONNX Runtime session with set threads.
+
+    Parameters
+    ----------
+    path
+        The .onnx file.
+    threads
+        Threads of one operator.
+    providers
+        Execution providers by name; an unknown one is an error, never a silent fallback.
+    flush_denormals
+        Take denormals for zero; the calling thread does so too from then on.
+
+    Raises
+    ------
+    InputError
+        The file cannot be loaded, or a provider is not installed.
+    """
+    # Imported on use: `import stillray` loads no inference engine.
+    import onnxruntime as ort
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such model file")
+    wanted = list(providers or ("CPUExecutionProvider",))
+    available = ort.get_available_providers()
+    if missing := [name for name in wanted if name not in available]:
+        raise InputError(f"providers must be among {', '.join(available)}, got {missing[0]}")
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
+    options.log_severity_level = 3
+    # denoising is called between a host's own work: idle threads must not burn its cores
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    if flush_denormals:
+        options.add_session_config_entry("session.set_denormal_as_zero", "1")
+    try:
+        session = ort.InferenceSession(str(path), options, providers=wanted)
+    except Exception as error:  # ONNX Runtime raises a family of its own, without a common base
+        first_line = str(error).splitlines()[0]
+        raise InputError(f"{path}: not a usable ONNX model: {first_line}") from None
+    if (got := session.get_providers()[: len(wanted)]) != wanted:
+        raise InputError(f"providers must all start, asked for {wanted}, got {got}")
+    return session
