@@ -25,6 +25,8 @@ class Family:
         the ``(h, w, 3)`` float32 radiance.
     multiple
         Height and width of the network's input must be multiples of this, pixels.
+    reach
+        Pixels from which light can come to a pixel, to each side, in one frame.
     recalls
         Whether the previous output is used.
     method
@@ -43,6 +45,7 @@ class Family:
         np.ndarray,
     ]
     multiple: Callable[[ModelSpec], int]
+    reach: Callable[[ModelSpec], int]
     recalls: bool
     method: Callable[[ModelSpec], str]
 
@@ -50,9 +53,17 @@ class Family:
 #: By the name that specifications use.
 FAMILIES = {
     "weight-sharing-kernels": Family(
-        kernels.reconstruct, lambda spec: 1, recalls=False, method=kernels.method
+        kernels.reconstruct,
+        lambda spec: 1,
+        kernels.reach,
+        recalls=False,
+        method=kernels.method,
     ),
     "kernel-pyramid": Family(
-        pyramid.reconstruct, pyramid.multiple, recalls=True, method=pyramid.method
+        pyramid.reconstruct,
+        pyramid.multiple,
+        pyramid.reach,
+        recalls=True,
+        method=pyramid.method,
     ),
 }

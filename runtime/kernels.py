@@ -31,7 +31,7 @@ def reconstruct(
     mean = prepared.history.mean
     height, width = mean.shape[:2]
     image = np.empty((height, width, 3), np.float32)
-    halo = reach(options)
+    halo = reach(spec)
 
     def filter_strip(rows: slice) -> None:
         top, bottom = max(rows.start - halo, 0), min(rows.stop + halo, height)
@@ -52,9 +52,10 @@ def method(spec: ModelSpec) -> str:
     return f"{len(spec.decoder.kernel_sizes)} fused kernels"
 
 
-def reach(options: FusedKernels) -> int:
+def reach(spec: ModelSpec) -> int:
     """Pixels that the largest kernel looks to each side."""
-    return max(options.kernel_sizes) // 2
+    assert isinstance(spec.decoder, FusedKernels)
+    return max(spec.decoder.kernel_sizes) // 2
 
 
 def filter_rows(

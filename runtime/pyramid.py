@@ -73,6 +73,15 @@ def multiple(spec: ModelSpec) -> int:
     return 1 << (len(spec.network.widths) - 1)
 
 
+def reach(spec: ModelSpec) -> int:
+    """Pixels from which light can come to a pixel, to each side."""
+    assert isinstance(spec.decoder, PyramidKernels)
+    coarsest = multiple(spec)
+    # a bilinear step looks into the neighbouring cell: 1.5 cells of every level above the finest,
+    # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, and the resolve
+    return 3 * (coarsest - 1) + max(spec.decoder.kernel_sizes) // 2 * coarsest + 1
+
+
 def method(spec: ModelSpec) -> str:
     """What the reconstruction does, in a few words."""
     assert isinstance(spec.network, PyramidNetwork)
