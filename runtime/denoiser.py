@@ -6,16 +6,17 @@ import os
 from collections.abc import Sequence
 from types import TracebackType
 
-import cv2
 import numpy as np
 
 from stillray import encode, kernels, stages
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.models_spec.loader import ModelSpec
-from stillray.prepare import History, Prepared, prepare, timed
+from stillray.prepare import History, Prepared, prepare
 from stillray.registry import ModelInfo, find_model, open_session
-from stillray.strips import Strips, available_threads
+from stillray.scratch import Scratch
+from stillray.strips import FILTER_PIXELS, Strips, available_threads, with_halo
+from stillray.timing import timed, timed_pass
 
 
 class Denoiser:
@@ -60,15 +61,16 @@ class Denoiser:
         threads = threads or available_threads()
         self.model: ModelInfo = find_model(model)
         self.temporal = temporal
-        self.history: History | None = None
+        self._history: History | None = None
         #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
         self.last_timings: dict[str, float] = {}
         self._session = open_session(
             self.model.path, threads=threads, providers=tuple(providers) if providers else None
         )
         self._strips = Strips(threads)
-        # kept between frames: fresh memory costs as much as the work that fills it
-        self._features_nchw: np.ndarray | None = None
+        self._kept = Scratch()
+        self._spare: History | None = None  # what the next history may overwrite
+        self._lent = False  # whether somebody may hold the current history
 
     def __enter__(self) -> Denoiser:
         return self
@@ -85,13 +87,24 @@ class Denoiser:
         """Stop the worker threads."""
         self._strips.close()
 
+    @property
+    def history(self) -> History | None:
+        """The past: a value that can be kept, and put back later; None before the first frame."""
+        self._lent = True
+        return self._history
+
+    @history.setter
+    def history(self, value: History | None) -> None:
+        self._history, self._lent = value, True
+
     def reset(self) -> None:
         """Forget the past: call it at a cut."""
-        self.history = None
+        self._history = None
 
     def stages(self, frame: Frame) -> list[stages.Stage]:
         """What will run for this frame, and why; nothing is run."""
-        same_size = self.history is not None and self.history.mean.shape[:2] == frame.shape
+        past = self._history
+        same_size = past is not None and past.mean.shape[:2] == frame.shape
         return stages.plan(frame, self.model.spec, has_history=same_size, temporal=self.temporal)
 
     def denoise(self, frame: Frame) -> np.ndarray:
@@ -113,24 +126,31 @@ class Denoiser:
         prepared = prepare(
             frame,
             spec,
-            self.history if self.temporal else None,
+            self._history if self.temporal else None,
             self._strips,
             self.last_timings,
             temporal=self.temporal,
+            kept=self._kept,
+            spare=self._spare,
         )
         features = self._encode(frame, spec, prepared)
         with timed(self.last_timings, "network"):
             (logits_nchw,) = self._session.run(None, {"features": features})
         image = self._reconstruct(prepared, logits_nchw[0], spec)
-        self.history = prepared.history if self.temporal else None
+        self._remember(prepared.history)
         return image
+
+    def _remember(self, history: History) -> None:
+        # two histories change places, unless somebody may still look at the older
+        self._spare = None if self._lent else self._history
+        self._history, self._lent = history, False
+        if not self.temporal:
+            self._history, self._spare = None, history
 
     def _encode(self, frame: Frame, spec: ModelSpec, prepared: Prepared) -> np.ndarray:
         height, width = frame.shape
         shape = (1, len(spec.network.features), height, width)
-        if self._features_nchw is None or self._features_nchw.shape != shape:
-            self._features_nchw = np.zeros(shape, np.float32)
-        features_nchw = self._features_nchw
+        features_nchw = self._kept.array("features", shape)
         mean, normal, depth = prepared.history.mean, prepared.normal, prepared.depth
 
         def pack(rows: slice) -> None:
@@ -145,6 +165,7 @@ class Denoiser:
                 depth=None if depth is None else depth[rows],
                 depth_unit=prepared.depth_unit,
                 out=features_nchw[0, :, rows],
+                scratch=self._strips.scratch,
             )
 
         with timed(self.last_timings, "encode"):
@@ -155,20 +176,21 @@ class Denoiser:
         mean = prepared.history.mean
         height, width = mean.shape[:2]
         image = np.empty((height, width, 3), np.float32)
-        halo = kernels.reach(spec.decoder)
+        halo, by = kernels.reach(spec.decoder), prepared.divisor
+        with timed_pass(self.last_timings) as part:
 
-        def filter_strip(rows: slice) -> None:
-            top, bottom = max(rows.start - halo, 0), min(rows.stop + halo, height)
-            inner = slice(rows.start - top, rows.stop - top)
-            image[rows] = kernels.filter_rows(
-                mean[top:bottom], logits[:, top:bottom], inner, spec.decoder
-            )
+            def work(rows: slice) -> None:
+                near, own = with_halo(rows, halo, height)
+                scratch = self._strips.scratch
+                with part("reconstruct"):
+                    kernels.filter_rows(
+                        mean[near], logits[:, near], own, spec.decoder, image[rows], scratch
+                    )
+                if by is not None:
+                    with part("modulate"):
+                        image[rows] *= by[rows]
 
-        with timed(self.last_timings, "reconstruct"):
-            self._strips.run(filter_strip, height, width)
-        if prepared.divisor is not None:
-            with timed(self.last_timings, "modulate"):
-                cv2.multiply(image, prepared.divisor, dst=image)
+            self._strips.run(work, height, width, pixels=FILTER_PIXELS)
         return image
 
 
