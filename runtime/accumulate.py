@@ -6,11 +6,16 @@ import cv2
 import numpy as np
 
 from stillray.models_spec.loader import Temporal
+from stillray.scratch import Scratch
 from stillray.strips import planes_of
 
 
 def sample_weight(
-    luminance: np.ndarray, local: np.ndarray, exposure: float, options: Temporal
+    luminance: np.ndarray,
+    local: np.ndarray,
+    exposure: float,
+    options: Temporal,
+    scratch: Scratch | None = None,
 ) -> np.ndarray:
     """What a new sample is worth, in (0, 1]: less, the further it stands above its surroundings.
 
@@ -33,21 +38,26 @@ def sample_weight(
         `stillray.encode.local_luminance`.
     exposure
         ``e``, 1 / irradiance.
+    scratch
+        Where the result and what leads to it lie, if given.
 
     Returns
     -------
     (h, w) float32
     """
+    scratch = scratch or Scratch()
     # in exposed units: s e = t / (1 - t); DARK is a small share of the frame's typical value
-    local = np.clip(local, 0, np.float32(0.9999))
-    typical = local / (1 - local)
+    typical = scratch.array("typical", local.shape)
+    weight = scratch.array("weight", local.shape)
+    np.clip(local, np.float32(0), np.float32(0.9999), out=typical)
+    typical /= np.subtract(1, typical, out=weight)
     typical += np.float32(DARK)
-    ratio = luminance * np.float32(exposure / options.outlier_ratio)
-    ratio /= typical
-    ratio += 1
-    np.reciprocal(ratio, out=ratio)
+    # 1 / (1 + L / typical), as typical / (typical + L)
+    np.multiply(luminance, np.float32(exposure / options.outlier_ratio), out=weight)
+    weight += typical
+    np.divide(typical, weight, out=weight)
     # a weight of exactly 0 would leave windows of fireflies empty
-    return np.maximum(ratio, np.float32(MIN_WEIGHT), out=ratio)
+    return np.clip(weight, np.float32(MIN_WEIGHT), np.float32(1), out=weight)
 
 
 #: Exposed irradiance below which surroundings no longer count as darker.
@@ -57,8 +67,12 @@ MIN_WEIGHT = 1e-6
 
 
 def accumulate(
-    irradiance: np.ndarray, weight: np.ndarray, reprojected: np.ndarray | None, options: Temporal
-) -> np.ndarray:
+    irradiance: np.ndarray,
+    weight: np.ndarray,
+    planes: np.ndarray,
+    options: Temporal,
+    scratch: Scratch | None = None,
+) -> None:
     """Running weighted mean of samples.
 
     Parameters
@@ -66,26 +80,22 @@ def accumulate(
     irradiance : (h, w, 3) float32
         This frame's sample.
     weight : (h, w) float32
-        What it is worth, in [0, 1].
-    reprojected : (h, w, 4) float32 or None
-        The past at these pixels: irradiance and its samples. None in the first frame.
-
-    Returns
-    -------
-    (h, w, 4) float32
-        Mean irradiance and the samples that it holds, at most ``max_samples + 1``.
+        What it is worth, in (0, 1].
+    planes : (4, h, w) float32
+        The past at these pixels: finite irradiance and, last, its samples, 0 where there is no
+        past. Overwritten with the mean irradiance and the samples that it holds, at most
+        ``max_samples + 1``.
+    scratch
+        Where temporaries lie, if given.
     """
-    if reprojected is None:
-        return cv2.merge([irradiance, weight])
-    # planes, not interleaved pixels: NumPy's inner loops then run over rows, not over 3 channels
-    *past, samples = planes_of(reprojected)
-    np.minimum(samples, np.float32(options.max_samples), out=samples)
+    scratch = scratch or Scratch()
+    samples = planes[3]
+    np.clip(samples, np.float32(0), np.float32(options.max_samples), out=samples)
     samples += weight
-    share = weight / np.maximum(samples, np.float32(MIN_WEIGHT))
-    rest = 1 - share
-    for mean, sample in zip(past, planes_of(irradiance), strict=True):
-        # mean + share (new - mean) cancels where a firefly meets a dark past; two products do not
-        mean *= rest
-        sample *= share
-        mean += sample
-    return cv2.merge([*past, samples])
+    share = np.divide(weight, samples, out=scratch.array("share", samples.shape))
+    rest = np.subtract(1, share, out=scratch.array("rest", samples.shape))
+    new = planes_of(irradiance, out=scratch.array("new", (3, *samples.shape)))
+    # mean + share (new - mean) cancels where a firefly meets a dark past; two products do not
+    planes[:3] *= rest
+    for mean, sample in zip(planes[:3], new, strict=True):
+        cv2.accumulateProduct(sample, share, mean)

@@ -14,10 +14,12 @@ from stillray.errors import InputError
 from stillray.families import FAMILIES
 from stillray.frame import Frame
 from stillray.models_spec.loader import ModelSpec
-from stillray.prepare import History, Prepared, prepare, timed
+from stillray.prepare import History, Prepared, prepare
 from stillray.registry import ModelInfo, find_model
+from stillray.scratch import Scratch
 from stillray.session import Network
 from stillray.strips import Strips, available_threads
+from stillray.timing import timed
 
 
 class Denoiser:
@@ -62,15 +64,16 @@ class Denoiser:
         threads = threads or available_threads()
         self.model: ModelInfo = find_model(model)
         self.temporal = temporal
-        self.history: History | None = None
+        self._history: History | None = None
         #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
         self.last_timings: dict[str, float] = {}
         self._network = Network(
             self.model.path, threads=threads, providers=tuple(providers) if providers else None
         )
         self._strips = Strips(threads)
-        # kept between frames: fresh memory costs as much as the work that fills it
-        self._features_nchw: np.ndarray | None = None
+        self._kept = Scratch()
+        self._spare: History | None = None  # what the next history may overwrite
+        self._lent = False  # whether somebody may hold the current history
 
     def __enter__(self) -> Denoiser:
         return self
@@ -88,13 +91,24 @@ class Denoiser:
         self._network.close()
         self._strips.close()
 
+    @property
+    def history(self) -> History | None:
+        """The past: a value that can be kept, and put back later; None before the first frame."""
+        self._lent = True
+        return self._history
+
+    @history.setter
+    def history(self, value: History | None) -> None:
+        self._history, self._lent = value, True
+
     def reset(self) -> None:
         """Forget the past: call it at a cut."""
-        self.history = None
+        self._history = None
 
     def stages(self, frame: Frame) -> list[stages.Stage]:
         """What will run for this frame, and why; nothing is run."""
-        same_size = self.history is not None and self.history.mean.shape[:2] == frame.shape
+        past = self._history
+        same_size = past is not None and past.mean.shape[:2] == frame.shape
         return stages.plan(frame, self.model.spec, has_history=same_size, temporal=self.temporal)
 
     def denoise(self, frame: Frame) -> np.ndarray:
@@ -116,31 +130,33 @@ class Denoiser:
         prepared = prepare(
             frame,
             spec,
-            self.history if self.temporal else None,
+            self._history if self.temporal else None,
             self._strips,
             self.last_timings,
             temporal=self.temporal,
+            kept=self._kept,
+            spare=self._spare,
         )
         family = FAMILIES[spec.family]
         previous: np.ndarray | None = None
         if family.recalls and self.temporal:
-            previous = recall.recalled(self.history, prepared, self._strips, self.last_timings)
+            previous = recall.recalled(self._history, prepared, self._strips, self.last_timings)
         features = self._encode(frame, spec, prepared, previous)
         with timed(self.last_timings, "network"):
             outputs = self._network.run(features)
         image = family.reconstruct(
-            prepared,
-            previous,
-            outputs,
-            spec,
-            self._strips,
-            self.last_timings,
+            prepared, previous, outputs, spec, self._strips, self.last_timings
         )
-        self.history = None
-        if self.temporal:
-            output = recall.remember(image) if family.recalls else None
-            self.history = replace(prepared.history, output=output)
+        output = recall.remember(image) if family.recalls and self.temporal else None
+        self._remember(replace(prepared.history, output=output))
         return image
+
+    def _remember(self, history: History) -> None:
+        # two histories change places, unless somebody may still look at the older
+        self._spare = None if self._lent else self._history
+        self._history, self._lent = history, False
+        if not self.temporal:
+            self._history, self._spare = None, history
 
     def _encode(
         self, frame: Frame, spec: ModelSpec, prepared: Prepared, previous: np.ndarray | None
@@ -148,14 +164,7 @@ class Denoiser:
         height, width = frame.shape
         multiple = FAMILIES[spec.family].multiple(spec)
         full = (-(-height // multiple) * multiple, -(-width // multiple) * multiple)
-        shape = (1, len(spec.network.features), *full)
-        if self._features_nchw is None or self._features_nchw.shape != shape:
-            self._features_nchw = np.zeros(shape, np.float32)
-        features_nchw = self._features_nchw
-        if previous is None:  # planes that nothing fills below
-            for index, name in enumerate(spec.network.features):
-                if name.startswith("previous"):
-                    features_nchw[0, index] = 0
+        features_nchw = self._kept.array("features", (1, len(spec.network.features), *full))
         mean, normal, depth = prepared.history.mean, prepared.normal, prepared.depth
 
         def pack(rows: slice) -> None:
@@ -171,15 +180,15 @@ class Denoiser:
                 depth=None if depth is None else depth[rows],
                 depth_unit=prepared.depth_unit,
                 out=planes,
+                scratch=self._strips.scratch,
             )
-            if previous is not None:
-                encode.previous_planes(
-                    previous[rows],
-                    None if prepared.divisor is None else prepared.divisor[rows],
-                    prepared.history.exposure,
-                    spec.network.features,
-                    out=planes,
-                )
+            encode.previous_planes(
+                None if previous is None else previous[rows],
+                None if prepared.divisor is None else prepared.divisor[rows],
+                prepared.history.exposure,
+                spec.network.features,
+                out=planes,
+            )
 
         with timed(self.last_timings, "encode"):
             self._strips.run(pack, height, width)

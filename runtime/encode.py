@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from stillray.models_spec.loader import Temporal, Transfer
+from stillray.scratch import Scratch
 from stillray.strips import planes_of
 
 _REC709 = np.array([[0.2126, 0.7152, 0.0722, 0]], np.float32)
@@ -17,9 +18,17 @@ _NORMAL = ("normal.x", "normal.y", "normal.z")
 _BLOCK = 8  # pixels: blocks whose means give the frame's typical irradiance
 
 
-def luminance(irradiance: np.ndarray) -> np.ndarray:
+def luminance(irradiance: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
     """Rec. 709 luminance of an ``(h, w, 3)`` image, or of ``(h, w, 4)`` irradiance and samples."""
-    return cv2.transform(irradiance, _REC709[:, : irradiance.shape[2]])
+    weights = _REC709[:, : irradiance.shape[2]]
+    return cv2.transform(irradiance, weights, dst=out)
+
+
+def luminance_of_planes(planes: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """`luminance` of ``(3 or more, h, w)`` into ``out`` of ``(h, w)``."""
+    red, green, blue = map(float, _REC709[0, :3])
+    cv2.addWeighted(planes[0], red, planes[1], green, 0, dst=out)
+    return cv2.scaleAdd(planes[2], blue, out, dst=out)
 
 
 def frame_exposure(light: np.ndarray, options: Transfer) -> float:
@@ -56,11 +65,11 @@ def steady_exposure(now: float, before: float | None, options: Transfer) -> floa
     return math.exp(keep * math.log(before) + (1 - keep) * math.log(now))
 
 
-def tone_map(radiance: np.ndarray, exposure: float) -> np.ndarray:
-    """``x e / (1 + x e)``, in [0, 1]."""
+def tone_map(radiance: np.ndarray, exposure: float, out: np.ndarray | None = None) -> np.ndarray:
+    """``x e / (1 + x e)``, in [0, 1]; written to ``out`` if given."""
     # written as 1 - 1 / (1 + x e): an overflow of x e gives 1, not Inf / Inf
     with np.errstate(over="ignore"):
-        mapped = radiance * np.float32(exposure)
+        mapped: np.ndarray = np.multiply(radiance, np.float32(exposure), out=out)
     mapped += 1
     np.reciprocal(mapped, out=mapped)
     return np.subtract(1, mapped, out=mapped)
@@ -81,8 +90,9 @@ def local_luminance(toned: np.ndarray, options: Transfer) -> np.ndarray:
     (h, w) float32
         In [0, 1], up to rounding.
     """
-    window = (options.local_size, options.local_size)
-    return cv2.blur(toned, window, borderType=cv2.BORDER_REPLICATE)
+    kernel = np.full(options.local_size, 1 / options.local_size, np.float32)
+    # each window is added anew, so that a strip of rows gives what the whole frame gives
+    return cv2.sepFilter2D(toned, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REPLICATE)
 
 
 def depth_scale(depth: np.ndarray) -> float:
@@ -103,6 +113,7 @@ def feature_planes(
     depth: np.ndarray | None,
     depth_unit: float,
     out: np.ndarray,
+    scratch: Scratch | None = None,
 ) -> None:
     """Fill the planes that a network asks for.
 
@@ -124,18 +135,21 @@ def feature_planes(
         See `depth_scale`.
     out : (len(features), h, w) float32
         Written: values in [0, 1] ([-1, 1] for normals).
+    scratch
+        Where temporaries lie, if given.
     """
+    scratch = scratch or Scratch()
     plane = dict(zip(features, out, strict=True))
-    *irradiance, samples = planes_of(mean)
+    *irradiance, samples = planes_of(mean, out=scratch.array("mean", (4, *local.shape)))
     for name, light in zip("rgb", irradiance, strict=True):
         if (target := plane.get(f"irradiance.{name}")) is not None:
             # the square root opens the dark end of [0, 1], as a display gamma does
-            np.sqrt(tone_map(light, exposure), out=target)
+            np.sqrt(tone_map(light, exposure, out=target), out=target)
     if (target := plane.get("local_luminance")) is not None:
-        # running sums of values up to 1 leave residues of 1e-16, of either sign
-        np.sqrt(np.maximum(local, 0), out=target)
+        np.sqrt(local, out=target)
     if (target := plane.get("samples")) is not None:
-        np.divide(samples, samples + np.float32(temporal.max_samples / 4), out=target)
+        np.add(samples, np.float32(temporal.max_samples / 4), out=target)
+        np.divide(samples, target, out=target)
         np.sqrt(target, out=target)
     for image, names in ((albedo, _ALBEDO), (normal, _NORMAL)):
         for channel, name in enumerate(names):
@@ -145,11 +159,12 @@ def feature_planes(
         if depth is None:
             target[...] = 0
         else:
-            np.divide(depth, depth + np.float32(depth_unit), out=target)
+            np.add(depth, np.float32(depth_unit), out=target)
+            np.divide(depth, target, out=target)
 
 
 def previous_planes(
-    previous: np.ndarray,
+    previous: np.ndarray | None,
     divisor: np.ndarray | None,
     exposure: float,
     features: Sequence[str],
@@ -160,8 +175,9 @@ def previous_planes(
 
     Parameters
     ----------
-    previous : (h, w, 4) float32
-        Radiance of the previous output at these pixels and, last, how much of it is valid.
+    previous : (h, w, 4) float32 or None
+        Radiance of the previous output at these pixels and, last, how much of it is valid; None
+        where there is no past: zeros.
     divisor : (h, w, 3) float32 or None
         What radiance is divided by, so that the output compares with the irradiance.
     exposure
@@ -172,11 +188,15 @@ def previous_planes(
         Written: values in [0, 1].
     """
     plane = dict(zip(features, out, strict=True))
-    for channel, name in enumerate("rgb"):
-        if (target := plane.get(f"previous.{name}")) is not None:
+    for channel, name in enumerate((*"rgb", "valid")):
+        if (target := plane.get(f"previous.{name}")) is None:
+            continue
+        if previous is None:
+            target.fill(0)
+        elif name == "valid":
+            target[...] = previous[..., channel]
+        else:
             light = previous[..., channel]
             if divisor is not None:
-                light = light / divisor[..., channel]
-            np.sqrt(tone_map(light, exposure), out=target)
-    if (target := plane.get("previous.valid")) is not None:
-        target[...] = previous[..., 3]
+                light = np.divide(light, divisor[..., channel], out=target)
+            np.sqrt(tone_map(light, exposure, out=target), out=target)

@@ -12,8 +12,10 @@ import cv2
 import numpy as np
 
 from stillray.models_spec.loader import FusedKernels, ModelSpec
-from stillray.prepare import Prepared, timed
-from stillray.strips import Strips, planes_of
+from stillray.prepare import Prepared
+from stillray.scratch import Scratch
+from stillray.strips import FILTER_PIXELS, Strips, interleave, planes_of, with_halo
+from stillray.timing import timed_pass
 
 
 def reconstruct(
@@ -28,28 +30,22 @@ def reconstruct(
     options = spec.decoder
     assert isinstance(options, FusedKernels)
     (logits,) = outputs
-    mean = prepared.history.mean
+    mean, by = prepared.history.mean, prepared.divisor
     height, width = mean.shape[:2]
     image = np.empty((height, width, 3), np.float32)
     halo = reach(spec)
+    with timed_pass(timings) as part:
 
-    def filter_strip(rows: slice) -> None:
-        top, bottom = max(rows.start - halo, 0), min(rows.stop + halo, height)
-        inner = slice(rows.start - top, rows.stop - top)
-        image[rows] = filter_rows(mean[top:bottom], logits[:, top:bottom], inner, options)
+        def work(rows: slice) -> None:
+            near, own = with_halo(rows, halo, height)
+            with part("reconstruct"):
+                filter_rows(mean[near], logits[:, near], own, options, image[rows], strips.scratch)
+            if by is not None:
+                with part("modulate"):
+                    image[rows] *= by[rows]
 
-    with timed(timings, "reconstruct"):
-        strips.run(filter_strip, height, width)
-    if prepared.divisor is not None:
-        with timed(timings, "modulate"):
-            cv2.multiply(image, prepared.divisor, dst=image)
+        strips.run(work, height, width, pixels=FILTER_PIXELS)
     return image
-
-
-def method(spec: ModelSpec) -> str:
-    """What the reconstruction does, in a few words."""
-    assert isinstance(spec.decoder, FusedKernels)
-    return f"{len(spec.decoder.kernel_sizes)} fused kernels"
 
 
 def reach(spec: ModelSpec) -> int:
@@ -58,8 +54,19 @@ def reach(spec: ModelSpec) -> int:
     return max(spec.decoder.kernel_sizes) // 2
 
 
+def method(spec: ModelSpec) -> str:
+    """What the reconstruction does, in a few words."""
+    assert isinstance(spec.decoder, FusedKernels)
+    return f"{len(spec.decoder.kernel_sizes)} fused kernels"
+
+
 def filter_rows(
-    mean: np.ndarray, logits: np.ndarray, inner: slice, options: FusedKernels
+    mean: np.ndarray,
+    logits: np.ndarray,
+    inner: slice,
+    options: FusedKernels,
+    out: np.ndarray | None = None,
+    scratch: Scratch | None = None,
 ) -> np.ndarray:
     """Filter an image, or a strip of one with its neighbouring rows.
 
@@ -72,6 +79,10 @@ def filter_rows(
         m importance maps and m fusion maps, as the network gives them; any values.
     inner
         The rows of the result; the others only lend their pixels.
+    out : (rows, w, 3) float32, optional
+        Written and returned.
+    scratch
+        Where temporaries lie, if given.
 
     Returns
     -------
@@ -79,37 +90,48 @@ def filter_rows(
         ``sum_i alpha_i R_i``, eq. 5: a convex combination of irradiance in each window. Windows
         end at the border of the image, as if zero importance lay outside.
     """
-    count = len(options.kernel_sizes)
-    *planes, samples = planes_of(mean)
-    height, width = samples[inner].shape
-    total = np.zeros((3, height, width), np.float32)
-    alpha_sum = np.zeros((height, width), np.float32)
-    scratch = np.empty_like(samples)
+    scratch = scratch or Scratch()
+    count, (height, width) = len(options.kernel_sizes), mean.shape[:2]
+    shape = inner.stop - inner.start, width
+    if out is None:
+        out = np.empty((*shape, 3), np.float32)
+    *planes, samples = planes_of(mean, out=scratch.array("mean", (4, height, width)))
+    total, alpha_sum = scratch.array("total", (3, *shape)), scratch.array("alpha_sum", shape)
+    share = scratch.array("share", shape)
+    total.fill(0)
+    alpha_sum.fill(0)
     for index, size in enumerate(options.kernel_sizes):
-        importance = _bounded_exp(logits[index], options.logit_bound)
+        rows, own = with_halo(inner, size // 2, height)
+        strip = rows.stop - rows.start, width
+        importance, product, box = (
+            scratch.array(name, strip) for name in ("importance", "product", "box")
+        )
+        _bounded_exp(logits[index, rows], options.logit_bound, importance)
         if options.weigh_samples:
-            importance *= samples
+            importance *= samples[rows]
         # Normalised kernels keep sums of large radiance finite. sepFilter2D adds each window
         # anew: boxFilter's running sums keep a residue of every firefly that has passed, which
         # drowns darker windows (and it is no faster here).
         kernel = np.full(size, 1 / size, np.float32)
-        share = _bounded_exp(logits[count + index, inner], options.logit_bound)
+        _bounded_exp(logits[count + index, inner], options.logit_bound, share)
         alpha_sum += share
-        share /= _box(importance, kernel)[inner]
+        share /= _box(importance, kernel, box)[own]
         for plane, sums in zip(planes, total, strict=True):
-            np.multiply(importance, plane, out=scratch)
-            cv2.accumulateProduct(_box(scratch, kernel)[inner], share, sums)
-    if np.isnan(alpha_sum.sum()) or np.isnan(total.sum()):  # a NaN logit says nothing: 0
-        return filter_rows(mean, np.nan_to_num(logits, nan=0.0), inner, options)
+            np.multiply(importance, plane[rows], out=product)
+            cv2.accumulateProduct(_box(product, kernel, box)[own], share, sums)
     total /= alpha_sum
-    return cv2.merge(list(total))
+    interleave(total, out=out)
+    if np.isnan(out.max()):  # a NaN logit says nothing: 0
+        return filter_rows(mean, np.nan_to_num(logits, nan=0.0), inner, options, out, scratch)
+    return out
 
 
-def _box(plane: np.ndarray, kernel: np.ndarray) -> np.ndarray:
-    return cv2.sepFilter2D(plane, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
+def _box(plane: np.ndarray, kernel: np.ndarray, out: np.ndarray) -> np.ndarray:
+    border = cv2.BORDER_CONSTANT
+    return cv2.sepFilter2D(plane, cv2.CV_32F, kernel, kernel, dst=out, borderType=border)
 
 
-def _bounded_exp(logits: np.ndarray, bound: float) -> np.ndarray:
+def _bounded_exp(logits: np.ndarray, bound: float, out: np.ndarray) -> None:
     # bounded logits need no maximum subtracted: exp stays within e^-bound .. e^bound
-    bounded = np.clip(logits, np.float32(-bound), np.float32(bound))
-    return cv2.exp(bounded, dst=bounded)
+    np.clip(logits, np.float32(-bound), np.float32(bound), out=out)
+    cv2.exp(out, dst=out)

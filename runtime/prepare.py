@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from stillray import accumulate as acc
@@ -15,11 +13,10 @@ from stillray import reproject as rep
 from stillray.demodulate import divisor
 from stillray.frame import Frame
 from stillray.models_spec.loader import ModelSpec
-from stillray.repair import repair_feature, repair_radiance
-from stillray.strips import Strips
-
-MAX_MOTION = 1e6  # pixels; outside of every frame
-MAX_DEPTH = 1e30  # any unit; keeps products of depth in float32
+from stillray.repair import Buffers
+from stillray.scratch import Scratch
+from stillray.strips import FILTER_PIXELS, Strips, interleave, planes_of, with_halo
+from stillray.timing import timed, timed_pass
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,6 +79,8 @@ def prepare(
     timings: dict[str, float],
     *,
     temporal: bool = True,
+    kept: Scratch | None = None,
+    spare: History | None = None,
 ) -> Prepared:
     """Repair, demodulate, expose, reproject and accumulate: all that comes before the features.
 
@@ -99,134 +98,155 @@ def prepare(
         Stage name to milliseconds, filled in.
     temporal
         Whether a next frame will want this one's geometry.
+    kept
+        Where the result lies, all but its history, until the next call with the same; None for
+        arrays of its own.
+    spare
+        A history that nobody needs any more, whose arrays may be overwritten.
     """
-    height, width = frame.shape
-    with timed(timings, "repair"):
-        color, broken = repair_radiance(frame.color)
-        albedo = None if frame.albedo is None else repair_feature(frame.albedo, 0, 1)
-        normal = None if frame.normal is None else repair_feature(frame.normal, -1, 1)
-        depth = None if frame.depth is None else repair_feature(frame.depth, 0, MAX_DEPTH)
-        motion = None if frame.motion is None else _far_if_broken(frame.motion)
-
-    irradiance, light = color, np.empty((height, width), np.float32)
-    divide_by = None if albedo is None else np.empty_like(color)
-    if divide_by is not None:
-        irradiance = np.empty_like(color)
-
-    def demodulate(rows: slice) -> None:
-        if albedo is not None and divide_by is not None:
-            divide_by[rows] = divisor(albedo[rows], spec.demodulate)
-            np.divide(color[rows], divide_by[rows], out=irradiance[rows])
-        light[rows] = encode.luminance(irradiance[rows])
-
-    # without albedo only the luminance is taken, which exposure needs
-    with timed(timings, "expose" if albedo is None else "demodulate"):
-        strips.run(demodulate, height, width)
-    if history is not None and history.mean.shape[:2] != frame.shape:
+    kept = kept or Scratch()
+    shape = frame.shape
+    if history is not None and history.mean.shape[:2] != shape:
         history = None
+    if spare is not None and spare.mean.shape[:2] != shape:
+        spare = None
+    luminance, local = kept.array("luminance", shape), kept.array("local", shape)
+    buffers = Buffers.of(frame)
+    divide_by = None if frame.albedo is None else kept.array("divisor", frame.color.shape)
+    if not _demodulate(buffers, divide_by, luminance, spec, strips, timings):
+        with timed(timings, "repair"):
+            buffers = buffers.repaired()
+        _demodulate(buffers, divide_by, luminance, spec, strips, timings)
     with timed(timings, "expose"):
         before = None if history is None else history.exposure
         exposure = encode.steady_exposure(
-            encode.frame_exposure(light, spec.transfer), before, spec.transfer
+            encode.frame_exposure(luminance, spec.transfer), before, spec.transfer
         )
-        toned = np.empty_like(light)
-
-        def tone(rows: slice) -> None:
-            toned[rows] = encode.tone_map(light[rows], exposure)
-
-        strips.run(tone, height, width)
-        local = encode.local_luminance(toned, spec.transfer)
+        _local_luminance(luminance, exposure, local, spec, strips)
+        depth_unit = 1.0 if buffers.depth is None else encode.depth_scale(buffers.depth)
 
     guides: np.ndarray | None = None
-    past: np.ndarray | None = None
-    if temporal and not (normal is None and depth is None):
-        with timed(timings, "guides"):
-            guides = _pack(normal, depth, frame.shape, strips)
-    if history is not None and motion is not None:
+    if temporal and not (buffers.normal is None and buffers.depth is None):
+        guides = np.empty((*shape, 4), np.float32) if spare is None else spare.guides
+        guides = np.empty((*shape, 4), np.float32) if guides is None else guides
+    mean = np.empty((*shape, 4), np.float32) if spare is None else spare.mean
+    rough = None
+    if history is not None and buffers.motion is not None:
         with timed(timings, "warp"):
-            past = _warp(motion, history, guides, spec, strips)
-    mean = np.empty((height, width, 4), np.float32)
+            if guides is not None and history.guides is not None and buffers.motion.any():
+                rough = _rough_blocks(history.guides, strips, kept)
 
-    def accumulate(rows: slice) -> None:
-        weight = acc.sample_weight(light[rows], local[rows], exposure, spec.temporal)
-        if broken is not None:
-            weight[broken[rows]] = acc.MIN_WEIGHT
-        mean[rows] = acc.accumulate(
-            irradiance[rows], weight, None if past is None else past[rows], spec.temporal
+    def warp(rows: slice, motion: np.ndarray, past: History, scratch: Scratch) -> np.ndarray:
+        positions: np.ndarray | None = None
+        if motion[rows].any():
+            out = scratch.array("positions", motion[rows].shape)
+            positions = rep.positions_of(motion[rows], rows, out)
+        now = None if guides is None else guides[rows]
+        return rep.reproject(
+            past.mean, past.guides, rough, now, positions, rows, spec.temporal, scratch
         )
-        if past is not None:
-            toned[rows] = encode.tone_map(encode.luminance(mean[rows]), exposure)
 
-    with timed(timings, "accumulate"):
-        strips.run(accumulate, height, width)
-        if past is not None:
-            local = encode.local_luminance(toned, spec.transfer)
-        depth_unit = 1.0 if depth is None else encode.depth_scale(depth)
+    def accumulate(rows: slice, past: np.ndarray | None, scratch: Scratch) -> None:
+        weight = acc.sample_weight(luminance[rows], local[rows], exposure, spec.temporal, scratch)
+        if buffers.broken is not None:
+            weight[buffers.broken[rows]] = acc.MIN_WEIGHT
+        irradiance = buffers.color[rows]
+        if divide_by is not None:
+            out = scratch.array("irradiance", irradiance.shape)
+            irradiance = np.divide(irradiance, divide_by[rows], out=out)
+        if past is None:
+            cv2.merge([irradiance, weight], dst=mean[rows])
+            return
+        planes = planes_of(past, out=scratch.array("mean", (4, *weight.shape)))
+        acc.accumulate(irradiance, weight, planes, spec.temporal, scratch)
+        interleave(planes, out=mean[rows])
+        encode.luminance_of_planes(planes, out=luminance[rows])
+
+    with timed_pass(timings) as part:
+
+        def work(rows: slice) -> None:
+            scratch, past = strips.scratch, None
+            if guides is not None:
+                with part("guides"):
+                    normal, depth = buffers.normal, buffers.depth
+                    rep.pack(
+                        None if normal is None else normal[rows],
+                        None if depth is None else depth[rows],
+                        guides[rows],
+                        scratch,
+                    )
+            if history is not None and buffers.motion is not None:
+                with part("warp"):
+                    past = warp(rows, buffers.motion, history, scratch)
+            with part("accumulate"):
+                accumulate(rows, past, scratch)
+
+        strips.run(work, *shape)
+    if history is not None and buffers.motion is not None:
+        with timed(timings, "accumulate"):
+            _local_luminance(luminance, exposure, local, spec, strips)
     return Prepared(
         history=History(mean=mean, guides=guides, exposure=exposure),
         divisor=divide_by,
         local=local,
-        albedo=albedo,
-        normal=normal,
-        depth=depth,
+        albedo=buffers.albedo,
+        normal=buffers.normal,
+        depth=buffers.depth,
         depth_unit=depth_unit,
-        motion=motion,
+        motion=buffers.motion,
     )
 
 
-def _pack(
-    normal: np.ndarray | None, depth: np.ndarray | None, shape: tuple[int, int], strips: Strips
-) -> np.ndarray:
-    packed = np.empty((*shape, 4), np.float32)
+def _demodulate(
+    buffers: Buffers,
+    divide_by: np.ndarray | None,
+    luminance: np.ndarray,
+    spec: ModelSpec,
+    strips: Strips,
+    timings: dict[str, float],
+) -> bool:
+    """Fill divisor and irradiance's luminance; False, and nothing of use, if repair is needed."""
+    # without albedo only the luminance is taken, which exposure needs
+    name = "expose" if divide_by is None else "demodulate"
+    with timed_pass(timings) as part:
+
+        def work(rows: slice) -> bool:
+            scratch = strips.scratch
+            with part("repair"):
+                if not buffers.in_range(rows):
+                    return False
+            with part(name):
+                irradiance = buffers.color[rows]
+                if divide_by is not None and buffers.albedo is not None:
+                    divisor(buffers.albedo[rows], spec.demodulate, divide_by[rows], scratch)
+                    out = scratch.array("irradiance", irradiance.shape)
+                    irradiance = np.divide(irradiance, divide_by[rows], out=out)
+                encode.luminance(irradiance, out=luminance[rows])
+            return True
+
+        return all(strips.run(work, *luminance.shape))
+
+
+def _local_luminance(
+    luminance: np.ndarray, exposure: float, out: np.ndarray, spec: ModelSpec, strips: Strips
+) -> None:
+    height, width = luminance.shape
 
     def work(rows: slice) -> None:
-        packed[rows] = rep.pack(
-            None if normal is None else normal[rows], None if depth is None else depth[rows]
-        )
+        near, own = with_halo(rows, spec.transfer.local_size // 2, height)
+        toned = strips.scratch.array("toned", luminance[near].shape)
+        encode.tone_map(luminance[near], exposure, out=toned)
+        out[rows] = encode.local_luminance(toned, spec.transfer)[own]
 
-    strips.run(work, *shape)
-    return packed
-
-
-def _far_if_broken(motion: np.ndarray) -> np.ndarray:
-    # a point that came from nowhere is one that came from far outside
-    with np.errstate(invalid="ignore"):  # Inf - Inf
-        total = motion.sum()
-    if np.isfinite(total):
-        return motion
-    return np.where(np.isfinite(motion), motion, np.float32(MAX_MOTION))
+    strips.run(work, height, width, pixels=FILTER_PIXELS)
 
 
-def _warp(
-    motion: np.ndarray, history: History, guides: np.ndarray | None, spec: ModelSpec, strips: Strips
-) -> np.ndarray:
-    height, width = motion.shape[:2]
-    past = np.empty((height, width, 4), np.float32)
-    moving = bool(motion.any())
-    before = history.guides
-    rough: np.ndarray | None = None
-    if moving and before is not None and guides is not None:
-        marked = rough = np.ones((height + 1, width + 1), np.uint8)
-        strips.run(lambda rows: rep.rough_blocks(before, rows, marked), height, width)
+def _rough_blocks(packed: np.ndarray, strips: Strips, kept: Scratch) -> np.ndarray:
+    height, width = packed.shape[:2]
+    rough = kept.array("rough", (height + 1, width + 1), np.uint8)
 
     def work(rows: slice) -> None:
-        past[rows] = rep.reproject(
-            history.mean,
-            before,
-            rough,
-            None if guides is None else guides[rows],
-            motion[rows] if moving else None,
-            rows,
-            spec.temporal,
-        )
+        rep.rough_blocks(packed, rows, rough, strips.scratch)
 
     strips.run(work, height, width)
-    return past
-
-
-@contextmanager
-def timed(timings: dict[str, float], name: str) -> Iterator[None]:
-    """Add the milliseconds of the block to ``timings[name]``."""
-    start = time.perf_counter()
-    yield
-    timings[name] = timings.get(name, 0.0) + 1e3 * (time.perf_counter() - start)
+    return rough

@@ -17,8 +17,9 @@ import cv2
 import numpy as np
 
 from stillray.models_spec.loader import ModelSpec, PyramidKernels, PyramidNetwork
-from stillray.prepare import Prepared, timed
+from stillray.prepare import Prepared
 from stillray.strips import Strips, planes_of
+from stillray.timing import timed
 
 #: Neighbours of the resolve in the order of their logits: (rows down, columns right).
 NEIGHBOURS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))

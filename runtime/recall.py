@@ -5,9 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stillray.prepare import History, Prepared, timed
-from stillray.reproject import positions
+from stillray.prepare import History, Prepared
+from stillray.reproject import positions_of
 from stillray.strips import Strips
+from stillray.timing import timed
 
 _LEAST_VALID = np.float32(1e-3)  # of a tap: below, light fades instead of being normalised
 
@@ -53,10 +54,10 @@ def recall(output: np.ndarray, motion: np.ndarray, strips: Strips) -> np.ndarray
     past = np.empty((height, width, 4), np.float32)
 
     def work(rows: slice) -> None:
-        x, y = positions(motion[rows], rows, height)
+        positions = positions_of(motion[rows], rows)
         # exact at four channels; for some other counts OpenCV rounds positions to 1/32 pixel
         taken = cv2.remap(
-            output, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
+            output, positions, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
         )
         # at the border of the frame: the mean of the taps that there are
         taken[..., :3] /= np.maximum(taken[..., 3:], _LEAST_VALID)

@@ -2,12 +2,69 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
+from stillray.frame import Frame
+
 # Radiance above this is clamped: sums of a 13x13 window stay finite in float32.
 MAX_RADIANCE = 1e30
-_PIECE = 1 << 18  # values that stay in the cache between two passes
+MAX_DEPTH = 1e30  # any unit; keeps products of depth in float32
+MAX_MOTION = 1e6  # pixels; outside of every frame
+_RANGES = {
+    "color": (0.0, MAX_RADIANCE),
+    "albedo": (0.0, 1.0),
+    "normal": (-1.0, 1.0),
+    "depth": (0.0, MAX_DEPTH),
+    "motion": (-MAX_MOTION, MAX_MOTION),
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Buffers:
+    """A frame's buffers, as given or repaired.
+
+    Attributes
+    ----------
+    color, albedo, normal, depth, motion
+        As in `Frame`.
+    broken : (h, w) bool or None
+        Pixels whose color was not finite and has been filled in.
+    """
+
+    color: np.ndarray
+    albedo: np.ndarray | None
+    normal: np.ndarray | None
+    depth: np.ndarray | None
+    motion: np.ndarray | None
+    broken: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, frame: Frame) -> Buffers:
+        """The buffers as given."""
+        return cls(**{name: getattr(frame, name) for name in _RANGES})
+
+    def in_range(self, rows: slice) -> bool:
+        """Whether nothing in these rows needs repair."""
+        arrays = {name: getattr(self, name) for name in _RANGES}
+        return all(
+            within(array[rows], *_RANGES[name])
+            for name, array in arrays.items()
+            if array is not None
+        )
+
+    def repaired(self) -> Buffers:
+        """All in range; what was, is passed on without a copy."""
+        color, broken = repair_radiance(self.color)
+        features = {
+            name: None if array is None else repair_feature(array, *_RANGES[name])
+            for name in ("albedo", "normal", "depth")
+            for array in [getattr(self, name)]
+        }
+        motion = None if self.motion is None else repair_motion(self.motion)
+        return Buffers(color=color, motion=motion, broken=broken, **features)
 
 
 def repair_radiance(color: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
@@ -27,8 +84,7 @@ def repair_radiance(color: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         A negative channel counts as 0: renderers write it through filter lobes and it still is
         a sample.
     """
-    low, high = _range(color)
-    if low >= 0 and high <= MAX_RADIANCE:
+    if within(color, 0, MAX_RADIANCE):
         return color, None
     valid = np.isfinite(color).all(axis=-1)
     cleaned = np.clip(np.where(valid[..., None], color, 0), 0, MAX_RADIANCE).astype(np.float32)
@@ -47,19 +103,25 @@ def repair_feature(feature: np.ndarray, low: float, high: float) -> np.ndarray:
     low, high
         The feature's range.
     """
-    least, most = _range(feature)
-    if least >= low and most <= high:
+    if within(feature, low, high):
         return feature
     safe: np.ndarray = np.where(np.isfinite(feature), feature, np.float32(0))
     return np.clip(safe, low, high)
 
 
-def _range(array: np.ndarray) -> tuple[float, float]:
-    # a NaN makes both NaN, and every comparison with them false; pieces are read once for both
-    flat = array.reshape(-1)
-    pieces = [flat[start : start + _PIECE] for start in range(0, flat.size, _PIECE)]
-    ranges = np.array([(piece.min(), piece.max()) for piece in pieces])
-    return float(ranges[:, 0].min()), float(ranges[:, 1].max())
+def repair_motion(motion: np.ndarray) -> np.ndarray:
+    """Motion that is not finite, or beyond MAX_MOTION, becomes MAX_MOTION.
+
+    A point that came from nowhere is one that came from far outside.
+    """
+    if within(motion, *_RANGES["motion"]):
+        return motion
+    return np.where(np.abs(motion) <= MAX_MOTION, motion, np.float32(MAX_MOTION))
+
+
+def within(array: np.ndarray, low: float, high: float) -> bool:
+    """Whether all values lie in a range; NaN lies in none."""
+    return bool(array.min() >= low and array.max() <= high)
 
 
 def _fill(color: np.ndarray, valid: np.ndarray) -> np.ndarray:

@@ -6,22 +6,28 @@ import cv2
 import numpy as np
 
 from stillray.models_spec.loader import Temporal
-from stillray.strips import planes_of
+from stillray.scratch import Scratch
+from stillray.strips import interleave, planes_of
 
 # A 2x2 block of the previous frame is one smooth surface when its normals' components and its
 # depth's logarithm span no more than this: then its four taps are accepted or refused together.
 SMOOTH_NORMAL = 0.2
 SMOOTH_DEPTH = 0.1
-_NEAREST = np.float32(1e-30)  # unit of depth: keeps the logarithm finite
+_SMOOTH = np.array([SMOOTH_NORMAL] * 3 + [SMOOTH_DEPTH], np.float32)
+_FOUR_TRUE = np.ones(4, bool).view(np.uint32)[0]
+_NEAREST, _FARTHEST = np.float32(1e-30), np.float32(1e30)  # unit of depth: finite logarithms
 _EMPTY_DEPTH = np.float32(-100)  # "logarithm of the depth" of background: far from all surfaces
-_OUTSIDE = np.float32(-8)  # pixels: a position whose four taps all lie outside
-_NORMAL_SUM = np.array([[1, 1, 1, 0]], np.float32)
 _NO_NORMAL = 0.25  # a normal with no component beyond this points nowhere
-_LIST_WIDTH = 256  # pixels of a row when a list of pixels is laid out as an image
+_SUM = np.ones((1, 3), np.float32)
 _TINY = np.float32(1e-12)  # share of a tap: keeps 0/0 out of pixels without a tap
 
 
-def pack(normal: np.ndarray | None, depth: np.ndarray | None) -> np.ndarray:
+def pack(
+    normal: np.ndarray | None,
+    depth: np.ndarray | None,
+    out: np.ndarray | None = None,
+    scratch: Scratch | None = None,
+) -> np.ndarray:
     """Guides of a frame's rows: the geometry that tells whether two pixels show one surface.
 
     A feature that is missing agrees with everything.
@@ -32,33 +38,49 @@ def pack(normal: np.ndarray | None, depth: np.ndarray | None) -> np.ndarray:
         0 where nothing was hit.
     depth : (h, w) float32 or None
         0 where nothing was hit. One of both must be given.
+    out : (h, w, 4) float32, optional
+        Written and returned.
+    scratch
+        Where temporaries lie, if given.
 
     Returns
     -------
     (h, w, 4) float32
         Normal and the logarithm of depth.
     """
-    if depth is not None:
-        logarithm = cv2.log(np.maximum(depth, _NEAREST))
-        np.copyto(logarithm, _EMPTY_DEPTH, where=depth <= 0)
-    elif normal is not None:
-        logarithm = np.zeros(normal.shape[:2], np.float32)
-    else:
+    scratch = scratch or Scratch()
+    present = normal if normal is not None else depth
+    if present is None:
         raise ValueError("one of normal and depth must be given")
+    shape = present.shape[:2]
+    if out is None:
+        out = np.empty((*shape, 4), np.float32)
+    logarithm = scratch.array("logarithm", shape)
+    if depth is None:
+        logarithm.fill(0)
+    else:
+        cv2.log(np.clip(depth, _NEAREST, _FARTHEST, out=logarithm), dst=logarithm)
+        if depth.min() <= 0:
+            np.copyto(logarithm, _EMPTY_DEPTH, where=depth <= 0)
     if normal is None:
-        one, zero = np.ones_like(logarithm), np.zeros_like(logarithm)
-        return cv2.merge([one, zero, zero, logarithm])
-    packed = cv2.merge([normal, logarithm])
+        out[...] = (1, 0, 0, 0)
+        out[..., 3] = logarithm
+        return out
+    cv2.cvtColor(normal, cv2.COLOR_RGB2RGBA, dst=out)  # the fastest way to four channels
+    cv2.insertChannel(logarithm, out, 3)
     # what has no normal gets one, so that it agrees with its like; its depth tells it apart
-    none = cv2.inRange(normal, (-_NO_NORMAL,) * 3, (_NO_NORMAL,) * 3)
-    if cv2.countNonZero(none):
-        packed[none > 0, :3] = (1, 0, 0)
+    length = cv2.transform(np.square(normal, out=scratch.array("square", normal.shape)), _SUM)
+    if length.min() <= 4 * _NO_NORMAL**2:  # three such components square to 3 times that at most
+        none = cv2.inRange(normal, (-_NO_NORMAL,) * 3, (_NO_NORMAL,) * 3) > 0
+        out[none, :3] = (1, 0, 0)
         if depth is None:
-            packed[none > 0, 3] = _EMPTY_DEPTH
-    return packed
+            out[none, 3] = _EMPTY_DEPTH
+    return out
 
 
-def rough_blocks(packed: np.ndarray, rows: slice, out: np.ndarray) -> None:
+def rough_blocks(
+    packed: np.ndarray, rows: slice, out: np.ndarray, scratch: Scratch | None = None
+) -> None:
     """Mark where the 2x2 block that begins at a pixel holds more than one smooth surface.
 
     Parameters
@@ -69,16 +91,53 @@ def rough_blocks(packed: np.ndarray, rows: slice, out: np.ndarray) -> None:
         The rows of the frame to mark.
     out : (h + 1, w + 1) uint8
         Element (y, x) is of the block with its top left at (y - 1, x - 1), 1 where it is rough.
-        Blocks that stick out of the frame are, and have to be marked by the caller.
+        Blocks that stick out of the frame are.
+    scratch
+        Where temporaries lie, if given.
     """
+    scratch = scratch or Scratch()
     top = max(rows.start - 1, 0)
-    block = np.ones((2, 2), np.uint8)
-    # anchored at its bottom right, the block of (y, x) holds (y - 1, x - 1) .. (y, x)
     strip = packed[top : rows.stop]
-    spread = cv2.dilate(strip, block, anchor=(1, 1))
-    spread -= cv2.erode(strip, block, anchor=(1, 1))
-    smooth = cv2.inRange(spread, (-1.0,) * 4, (*(SMOOTH_NORMAL,) * 3, SMOOTH_DEPTH))
-    out[top + 1 : rows.stop, 1:-1] = smooth[1:, 1:] == 0
+    block = np.ones((2, 2), np.uint8)
+    most, least = (scratch.array(name, strip.shape) for name in ("most", "least"))
+    # anchored at its bottom right, the block of (y, x) holds (y - 1, x - 1) .. (y, x)
+    cv2.dilate(strip, block, dst=most, anchor=(1, 1))
+    cv2.erode(strip, block, dst=least, anchor=(1, 1))
+    most -= least
+    limits = np.tile(_SMOOTH, strip.shape[1])
+    smooth = most.reshape(len(strip), -1) <= limits
+    # four booleans at once
+    rough = smooth.view(np.uint32) != _FOUR_TRUE
+    out[rows, 0] = out[rows, -1] = 1
+    out[top + 1 : rows.stop, 1:-1] = rough[1:, 1:]
+    if rows.start == 0:
+        out[0] = 1
+    if rows.stop == len(packed):
+        out[rows.stop] = 1
+
+
+def positions_of(motion: np.ndarray, rows: slice, out: np.ndarray | None = None) -> np.ndarray:
+    """Where the pixels of some rows were in the previous frame.
+
+    Parameters
+    ----------
+    motion : (rows, w, 2) float32
+        Of these rows, pixels.
+    rows
+        Which rows of the frame they are.
+    out : (rows, w, 2) float32, optional
+        Written and returned.
+
+    Returns
+    -------
+    (rows, w, 2) float32
+        x and y, pixels.
+    """
+    columns = np.zeros((motion.shape[1], 2), np.float32)
+    columns[:, 0] = np.arange(motion.shape[1])
+    positions: np.ndarray = np.add(motion, columns, out=out)
+    positions[..., 1] += np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
+    return positions
 
 
 def reproject(
@@ -86,9 +145,10 @@ def reproject(
     before: np.ndarray | None,
     rough: np.ndarray | None,
     now: np.ndarray | None,
-    motion: np.ndarray | None,
+    positions: np.ndarray | None,
     rows: slice,
     options: Temporal,
+    scratch: Scratch | None = None,
 ) -> np.ndarray:
     """Bring the history to the current pixels, bilinear taps accepted one by one.
 
@@ -112,40 +172,54 @@ def reproject(
         Their `rough_blocks`; not needed where nothing moves.
     now : (h, w, 4) float32 or None
         Guides of the rows to fill.
-    motion : (h, w, 2) float32 or None
-        Pixels, of the rows to fill; None where nothing moves.
+    positions : (h, w, 2) float32 or None
+        Where each of the pixels to fill was, x and y in pixels, finite; None where nothing moves.
     rows
         The rows of the frame to fill.
     options
         Thresholds.
+    scratch
+        Where the result and what leads to it lie, if given.
 
     Returns
     -------
     (h, w, 4) float32
         Irradiance and samples at the current pixels; zeros where no tap was accepted.
     """
-    if motion is None:
-        taken = history[rows].copy()
-        if before is not None and now is not None:
-            same = _same_surface(before[rows].copy(), now, options)
-            taken = cv2.copyTo(taken, same.view(np.uint8))
-        return taken
-    height, width = history.shape[:2]
-    x, y = positions(motion, rows, height)
-    taken = _bilinear(history, x, y)
+    scratch = scratch or Scratch()
+    (height, width), count = history.shape[:2], rows.stop - rows.start
+    taken = scratch.array("taken", (count, width, 4))
+    compared = scratch.array("compared", (count, width, 4))
+    if positions is None:
+        np.copyto(taken, history[rows])
+        if before is not None:
+            np.copyto(compared, before[rows])
+    else:
+        _bilinear(history, positions, taken)
+        if before is not None:
+            _bilinear(before, positions, compared)
     if before is not None and now is not None:
-        same = _same_surface(_bilinear(before, x, y), now, options)
-        taken = cv2.copyTo(taken, same.view(np.uint8))
-    left, top = np.floor(x), np.floor(y)
+        same = _same_surface(
+            planes_of(compared, out=scratch.array("before", (4, count, width))),
+            planes_of(now, out=scratch.array("now", (4, count, width))),
+            options,
+        )
+        _pixels(taken)[np.flatnonzero(~same)] = 0
+    if positions is None:
+        return taken
+    corner = np.floor(positions, out=scratch.array("corner", positions.shape))
     if rough is None:
+        left, top = corner[..., 0], corner[..., 1]
         apart = (left < 0) | (left >= width - 1) | (top < 0) | (top >= height - 1)
     else:
-        apart = _nearest(rough, left + 1, top + 1) > 0
+        corner += 1
+        apart = _nearest(rough, corner).view(bool)
     at = np.flatnonzero(apart)
     if at.size:
-        now_listed = None if now is None else _pixels(now)[at].view(np.float32)
+        now_listed = None if now is None else np.take(_pixels(now), at).view(np.float32)
+        positions_listed = np.take(positions.reshape(-1).view(np.complex64), at)
         listed = _tap_by_tap(
-            history, before, now_listed, x.reshape(-1)[at], y.reshape(-1)[at], options
+            history, before, now_listed, positions_listed.view(np.float32).reshape(-1, 2), options
         )
         _pixels(taken)[at] = _pixels(listed)
     return taken
@@ -156,68 +230,59 @@ def _pixels(image: np.ndarray) -> np.ndarray:
     return image.reshape(-1).view(np.complex128)
 
 
-def positions(motion: np.ndarray, rows: slice, frame_height: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pixel was; far positions come near, all of their taps still outside."""
-    width = motion.shape[1]
-    x = motion[..., 0] + np.arange(width, dtype=np.float32)
-    y = motion[..., 1] + np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
-    np.clip(x, _OUTSIDE, np.float32(width) - _OUTSIDE, out=x)
-    np.clip(y, _OUTSIDE, np.float32(frame_height) - _OUTSIDE, out=y)
-    return x, y
-
-
 def _tap_by_tap(
     history: np.ndarray,
     before: np.ndarray | None,
     now: np.ndarray | None,
-    x: np.ndarray,
-    y: np.ndarray,
+    positions: np.ndarray,
     options: Temporal,
 ) -> np.ndarray:
-    """The definition, for a list of ``n`` pixels: ``(n, 4)``."""
-    # laid out as an image, so that OpenCV does the gathering
-    count, shape = x.size, (-(-x.size // _LIST_WIDTH), _LIST_WIDTH)
-    x, y = (
-        np.append(part, np.full(shape[0] * shape[1] - count, _OUTSIDE)).reshape(shape)
-        for part in (x, y)
-    )
-    if now is not None:
-        now = np.resize(now, (*shape, 4))  # repeats for the padding, whose taps lie outside
-    left, top = np.floor(x), np.floor(y)
-    right_share, low_share = x - left, y - top
-    total = np.zeros((4, *shape), np.float32)
-    weight_sum = np.zeros(shape, np.float32)
-    height, width = history.shape[:2]
-    for tap_y, share_y in ((0, 1 - low_share), (1, low_share)):
-        for tap_x, share_x in ((0, 1 - right_share), (1, right_share)):
-            column, row = left + tap_x, top + tap_y
-            weight = share_x * share_y
-            weight *= (column >= 0) & (column < width) & (row >= 0) & (row < height)
-            if before is not None and now is not None:
-                weight *= _same_surface(_nearest(before, column, row), now, options)
-            for plane, sums in zip(planes_of(_nearest(history, column, row)), total, strict=True):
-                plane *= weight
-                sums += plane
-            weight_sum += weight
+    """The definition, for a list of ``n`` pixels: guides ``(n, 4)``, positions ``(n, 2)``."""
+    count, (height, width) = len(positions), history.shape[:2]
+    corner = np.floor(positions)
+    column, share_x = _both_taps(positions[:, 0] - corner[:, 0], corner[:, 0], width)
+    row, share_y = _both_taps(positions[:, 1] - corner[:, 1], corner[:, 1], height)
+    at = (row[:, None] * width + column).reshape(4, count)
+    weight = (share_y[:, None] * share_x).reshape(4, count)
+
+    def taps(image: np.ndarray) -> np.ndarray:
+        return planes_of(np.take(_pixels(image), at).view(np.float32).reshape(4, count, 4))
+
+    if before is not None and now is not None:
+        weight *= _same_surface(taps(before), planes_of(now.reshape(1, count, 4)), options)
+    total = np.einsum("ctn,tn->cn", taps(history), weight)
     # samples stay scaled by the accepted share; irradiance is normalised
-    total[:3] /= np.maximum(weight_sum, _TINY)
-    return cv2.merge(list(total)).reshape(-1, 4)[:count]
+    total[:3] /= np.maximum(weight.sum(axis=0), _TINY)
+    return interleave(total[:, None], out=np.empty((1, count, 4), np.float32))
+
+
+def _both_taps(share: np.ndarray, corner: np.ndarray, extent: int) -> tuple[np.ndarray, np.ndarray]:
+    """Indices and weights ``(2, n)`` of the taps along one axis; weight 0 outside of the frame."""
+    tap = np.stack([corner, corner + 1])
+    weight = np.stack([1 - share, share])
+    weight *= (tap >= 0) & (tap < extent)
+    return np.clip(tap, 0, extent - 1).astype(np.intp), weight
 
 
 def _same_surface(before: np.ndarray, now: np.ndarray, options: Temporal) -> np.ndarray:
-    """Whether packed guides ``(h, w, 4)`` show one surface: ``(h, w)`` bool; ``before`` is lost."""
-    depth_apart = before[..., 3] - now[..., 3]
+    """Whether planes of guides ``(4, h, w)`` show one surface: ``(h, w)`` bool; overwrites."""
+    depth_apart = before[3]
+    depth_apart -= now[3]
     np.abs(depth_apart, out=depth_apart)
-    near = depth_apart <= np.float32(np.log1p(options.depth_ratio))
-    before *= now
-    near &= cv2.transform(before, _NORMAL_SUM) >= np.float32(options.normal_cosine)
+    near: np.ndarray = depth_apart <= np.float32(np.log1p(options.depth_ratio))
+    before[:3] *= now[:3]
+    cosine = before[0]
+    cosine += before[1]
+    cosine += before[2]
+    near &= cosine >= np.float32(options.normal_cosine)
     return near
 
 
-def _bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _bilinear(image: np.ndarray, at: np.ndarray, out: np.ndarray) -> None:
     # exact at four channels; for some other counts OpenCV rounds positions to 1/32 pixel
-    return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    cv2.remap(image, at, None, cv2.INTER_LINEAR, out, cv2.BORDER_CONSTANT, 0)
 
 
-def _nearest(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return cv2.remap(image, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=1)
+def _nearest(image: np.ndarray, at: np.ndarray) -> np.ndarray:
+    border = cv2.BORDER_CONSTANT
+    return cv2.remap(image, at, None, cv2.INTER_NEAREST, borderMode=border, borderValue=1)

@@ -7,15 +7,26 @@ strip that fits the processor's cache saves most of the memory traffic of whole-
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
+import cv2
 import numpy as np
 
-# 512 KiB a float32 plane. Smaller strips stay in a nearer cache, but each has a price: a call on
-# a thread, the rows that a filter reads beyond it. 1 << 15 was measured a third slower.
-STRIP_PIXELS = 1 << 17
-LEAST_ROWS = 32
+from stillray.scratch import Scratch
+
+# 256 KiB a float32 plane. Smaller strips stay in a nearer cache, but each has a price: calls that
+# are short beside the wait for the interpreter's lock, the rows that a filter reads beyond it.
+STRIP_PIXELS = 1 << 16
+FILTER_PIXELS = 1 << 17  # where a filter reads rows beyond the strip, which is done twice
+# What strips are cut to must not depend on the threads, so that pictures do not either.
+_SHARES = 8  # strips of a small frame, for as many threads
+_LEAST_ROWS = 32
+_EVEN = 4  # the number of strips is a multiple of it: two or four threads end together
+
+Result = TypeVar("Result")
 
 
 class Strips:
@@ -28,24 +39,48 @@ class Strips:
     """
 
     def __init__(self, threads: int) -> None:
-        self._threads = threads
         self._pool = ThreadPoolExecutor(threads, "stillray") if threads > 1 else None
+        self._local = threading.local()
 
-    def run(self, work: Callable[[slice], None], height: int, width: int) -> None:
+    @property
+    def scratch(self) -> Scratch:
+        """Arrays of the calling thread, for temporaries within a strip."""
+        if not hasattr(self._local, "scratch"):
+            self._local.scratch = Scratch()
+        scratch: Scratch = self._local.scratch
+        return scratch
+
+    def run(
+        self,
+        work: Callable[[slice], Result],
+        height: int,
+        width: int,
+        *,
+        pixels: int = STRIP_PIXELS,
+    ) -> list[Result]:
         """Call ``work(rows)`` for every strip of a frame; strips do not overlap.
 
         Calls may run at the same time, on several threads.
+
+        Parameters
+        ----------
+        work
+            Gets the rows of its strip.
+        height, width
+            Of the frame, pixels.
+        pixels
+            At most so many in a strip, though at least a row.
+
+        Returns
+        -------
+        list
+            What each call returned, from the top.
         """
-        # a small frame is shared among all threads, though not in slivers
-        share = max(-(-height // self._threads), LEAST_ROWS)
-        rows = max(1, min(STRIP_PIXELS // width, share))
-        strips = [slice(top, min(top + rows, height)) for top in range(0, height, rows)]
+        strips = strips_of(height, width, pixels)
         if self._pool is None or len(strips) == 1:
-            for strip in strips:
-                work(strip)
-        else:
-            # list() waits for all and raises what any of them raised
-            list(self._pool.map(work, strips))
+            return [work(strip) for strip in strips]
+        # list() waits for all and raises what any of them raised
+        return list(self._pool.map(work, strips))
 
     def close(self) -> None:
         """Stop the threads."""
@@ -53,9 +88,52 @@ class Strips:
             self._pool.shutdown()
 
 
-def planes_of(image: np.ndarray) -> list[np.ndarray]:
-    """The channels of ``(h, w, c)`` as contiguous copies (cv2.split takes twice as long)."""
-    return [np.ascontiguousarray(image[..., channel]) for channel in range(image.shape[2])]
+def strips_of(height: int, width: int, pixels: int = STRIP_PIXELS) -> list[slice]:
+    """The rows of each strip, from the top; the last may be lower than the others."""
+    most_rows = max(pixels // width, 1)
+    count = max(-(-height // most_rows), min(height // _LEAST_ROWS, _SHARES))
+    if count > 1:
+        count = -(-count // _EVEN) * _EVEN
+    rows = -(-height // count)
+    return [slice(top, min(top + rows, height)) for top in range(0, height, rows)]
+
+
+def with_halo(rows: slice, halo: int, height: int) -> tuple[slice, slice]:
+    """The rows with up to ``halo`` more on each side, and where the rows lie among those."""
+    top = max(rows.start - halo, 0)
+    return slice(top, min(rows.stop + halo, height)), slice(rows.start - top, rows.stop - top)
+
+
+def planes_of(image: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+    """The channels of ``(h, w, c)`` as ``(c, h, w)``.
+
+    Parameters
+    ----------
+    image : (h, w, c) float32
+    out : (c, h, w) float32, optional
+        Written and returned.
+    """
+    height, width, channels = image.shape
+    if out is None:
+        out = np.empty((channels, height, width), np.float32)
+    if channels == 4:  # as matrices, in half the time of cv2.split; not so for three channels
+        cv2.transpose(_flat(image), dst=out.reshape(4, -1))
+    else:
+        np.copyto(out, image.transpose(2, 0, 1))
+    return out
+
+
+def interleave(planes: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """`planes_of` undone: ``(c, h, w)`` into ``out`` of ``(h, w, c)``."""
+    if len(planes) == 4:
+        cv2.transpose(planes.reshape(4, -1), dst=_flat(out))
+    else:
+        cv2.merge(list(planes), dst=out)
+    return out
+
+
+def _flat(image: np.ndarray) -> np.ndarray:
+    return image.reshape(-1, image.shape[-1])
 
 
 def available_threads() -> int:

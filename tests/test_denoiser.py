@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 
@@ -175,6 +176,39 @@ def test_history_is_a_value_that_can_be_kept_and_put_back(denoiser):
     np.testing.assert_array_equal(kept.mean, copy)
     denoiser.history = kept
     np.testing.assert_array_equal(denoiser.denoise(make_frame(33, 18, 1)), once)
+
+
+def test_a_history_that_nobody_holds_is_written_over_without_a_trace(denoiser):
+    frames = [make_frame(33, 18, seed, shift=0.7) for seed in range(5)]
+    alone = [denoiser.denoise(frame) for frame in frames]
+    denoiser.reset()
+    watched, kept = [], []
+    for frame in frames:  # whoever looks at the history makes it his own
+        watched.append(denoiser.denoise(frame))
+        kept.append(
+            (denoiser.history, denoiser.history.mean.copy(), denoiser.history.guides.copy())
+        )
+    np.testing.assert_array_equal(watched, alone)
+    for history, mean, guides in kept:
+        np.testing.assert_array_equal(history.mean, mean)
+        np.testing.assert_array_equal(history.guides, guides)
+
+
+def test_pictures_are_the_caller_s(denoiser):
+    images = [denoiser.denoise(make_frame(33, 18, seed)) for seed in range(3)]
+    copies = [image.copy() for image in images]
+    denoiser.denoise(make_frame(33, 18, 3))
+    np.testing.assert_array_equal(images, copies)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e6, -1e30])
+def test_motion_from_nowhere_brings_no_history(value, denoiser):
+    first, second = make_frame(33, 18, 0), make_frame(33, 18, 1)
+    denoiser.denoise(first)
+    lost = dataclasses.replace(second, motion=np.full((33, 18, 2), value, np.float32))
+    denoiser.denoise(lost)
+    # the sample of this frame alone, which is worth at most 1
+    assert denoiser.history.mean[..., 3].max() <= 1
 
 
 def test_a_box_that_moved_away_leaves_no_ghost(denoiser):

@@ -3,7 +3,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillray.repair import MAX_RADIANCE, repair_feature, repair_radiance
+from stillray.frame import Frame
+from stillray.repair import (
+    MAX_MOTION,
+    MAX_RADIANCE,
+    Buffers,
+    repair_feature,
+    repair_motion,
+    repair_radiance,
+)
 
 
 def test_clean_radiance_is_passed_on_without_a_copy(rng):
@@ -51,3 +59,26 @@ def test_huge_radiance_is_clamped():
 def test_features_are_clipped_and_broken_ones_say_nothing_was_hit():
     feature = np.float32([[-3, 0.5, np.nan], [np.inf, 7, 1]])
     np.testing.assert_array_equal(repair_feature(feature, 0, 1), [[0, 0.5, 0], [0, 1, 1]])
+
+
+def test_motion_from_nowhere_comes_from_far_outside():
+    motion = np.float32([[[np.nan, 1], [-np.inf, np.inf], [3, -1e9]]])
+    far = np.float32(MAX_MOTION)
+    np.testing.assert_array_equal(repair_motion(motion), [[[far, 1], [far, far], [3, far]]])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("color", -1), ("color", np.nan), ("color", 2e30), ("albedo", 1.5), ("albedo", np.nan),
+        ("normal", -1.01), ("depth", np.inf), ("depth", -1), ("motion", np.nan), ("motion", 2e6),
+    ],
+)  # fmt: skip
+def test_one_value_out_of_range_calls_for_repair(name, value):
+    arrays = {"color": np.ones((6, 5, 3)), "albedo": np.ones((6, 5, 3)), "depth": np.ones((6, 5))}
+    arrays |= {"normal": np.zeros((6, 5, 3)), "motion": np.zeros((6, 5, 2))}
+    arrays[name][4, 1] = value
+    buffers = Buffers.of(Frame(**arrays))
+    assert buffers.in_range(slice(0, 4))
+    assert not buffers.in_range(slice(3, 6))
+    assert buffers.repaired().in_range(slice(0, 6))

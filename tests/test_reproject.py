@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stillray.repair import MAX_MOTION
 from stillray.reproject import pack, reproject, rough_blocks
 from tests import oracles
 from tests.conftest import ODD_SIZES
@@ -25,10 +26,19 @@ def _guides(normal, depth):
 def _run(history, before, now, motion, rows, spec):
     rough = None
     if before is not None:
-        rough = np.ones((history.shape[0] + 1, history.shape[1] + 1), np.uint8)
+        rough = np.full((history.shape[0] + 1, history.shape[1] + 1), 7, np.uint8)
         for top in range(0, history.shape[0], 5):
             rough_blocks(before, slice(top, min(top + 5, history.shape[0])), rough)
-    return reproject(history, before, rough, now, motion, rows, spec.temporal)
+    return reproject(
+        history, before, rough, now, _positions(motion, rows), rows, spec.temporal
+    ).copy()
+
+
+def _positions(motion, rows):
+    if motion is None:
+        return None
+    row, column = np.mgrid[rows, 0 : motion.shape[1]]
+    return motion + np.stack([column, row], axis=-1).astype(np.float32)
 
 
 @pytest.mark.parametrize("size", [*ODD_SIZES, (40, 2)])
@@ -85,10 +95,25 @@ def test_no_motion_checks_the_surface_all_the_same(spec):
     np.testing.assert_array_equal(got[..., 3], [[1, 0], [1, 0]])
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e6, -1e6])
+@pytest.mark.parametrize("value", [MAX_MOTION, -MAX_MOTION, 6.0, -6.0])
 def test_motion_out_of_the_frame_brings_no_history(value, spec):
     history = np.ones((5, 6, 4), np.float32)
     motion = np.full((5, 6, 2), value, np.float32)
     none = _guides(None, None)
     got = _run(history, none, none, motion, slice(0, 5), spec)
     assert (got == 0).all()
+
+
+def test_rough_blocks_are_those_with_more_than_one_surface():
+    normal = np.zeros((7, 9, 3), np.float32)
+    normal[..., 2] = 1
+    normal[3, 4] = [1, 0, 0]
+    depth = np.full((7, 9), 2, np.float32)
+    depth[5, 1] = 3
+    rough = np.full((8, 10), 7, np.uint8)
+    rough_blocks(pack(normal, depth), slice(0, 7), rough)
+    expected = np.zeros((8, 10), np.uint8)
+    expected[[0, -1]] = expected[:, [0, -1]] = 1  # blocks that stick out
+    expected[3:5, 4:6] = 1  # the four blocks that hold row 3, column 4
+    expected[5:7, 1:3] = 1
+    np.testing.assert_array_equal(rough, expected)

@@ -35,6 +35,19 @@ from stillray.training.peers import OIDN_QUALITIES, open_image_denoise
 
 SEQUENCE = Path("tests/data/room")
 NOTHING = "nothing"  # the buffers alone: what memory is compared with
+# Float32 planes that each stage reads or writes, each once: its work if memory were all that
+# counts. What an earlier stage of the same pass has brought to the cache counts there only.
+STAGE_PLANES = {
+    "repair": 3 + 3 + 3 + 1 + 2,  # all buffers
+    "demodulate": 3 + 1,  # divisor and luminance
+    "expose": 1 + 1,
+    "guides": 4 + 4,
+    "warp": 4 + 2 + 4 + 4,  # guides for rough blocks; motion, history and its guides
+    "accumulate": 3 + 3 + 2 + 4 + 1 + 2,
+    "encode": 4 + 1 + 3 + 3 + 1 + 12,
+    "reconstruct": 12 + 4 + 3,
+    "modulate": 3,
+}
 
 
 def load_frames(folder: Path, height: int, width: int) -> list[Frame]:
@@ -201,6 +214,16 @@ def write_report(
     lines += ["| model | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
     for row in stages:
         lines.append(f"| {row['model']} | " + " | ".join(f"{row[n]:.1f}" for n in names) + " |")
+    floors = [
+        4e-6 * STAGE_PLANES[n] * height * width / bandwidth if n in STAGE_PLANES else 0.0
+        for n in names
+    ]
+    lines.append("| memory alone | " + " | ".join(f"{f:.1f}" if f else "" for f in floors) + " |")
+    lines += [
+        "",
+        "Memory alone: what a stage has to read and write, over the copy's rate; "
+        f"{sum(floors):.0f} ms in all. Stages that run in one pass share its time.",
+    ]
     lines += ["", "The network against its floor, operations over the matrix product's rate:", ""]
     for row in stages:
         work = network_gflop(find_model(row["model"]).spec, height * width)

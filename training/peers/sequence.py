@@ -140,10 +140,9 @@ def bring(
         normal_cosine=options.normal_cosine,
         depth_ratio=options.depth_ratio,
     )
-    motion = now.motion if now.motion.any() else None
-    return reproject.reproject(
-        history, before.guides, rough, now.guides, motion, slice(0, height), temporal
-    )
+    rows = slice(0, height)
+    positions = reproject.positions_of(now.motion, rows) if now.motion.any() else None
+    return reproject.reproject(history, before.guides, rough, now.guides, positions, rows, temporal)
 
 
 def blend(
