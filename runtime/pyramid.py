@@ -18,7 +18,8 @@ import numpy as np
 
 from stillray.models_spec.loader import ModelSpec, PyramidKernels, PyramidNetwork
 from stillray.prepare import Prepared
-from stillray.strips import Strips, planes_of
+from stillray.scratch import Scratch
+from stillray.strips import FILTER_PIXELS, Strips, interleave, planes_of, with_halo
 from stillray.timing import timed
 
 #: Neighbours of the resolve in the order of their logits: (rows down, columns right).
@@ -137,7 +138,7 @@ def filter_pyramid(
         Radiance: for every pixel a convex combination of accumulated irradiance around it, times
         the divisors of its 3x3 neighbours, and of the previous output.
     """
-    if any(np.isnan(level.sum()) for level in logits):  # a NaN logit says nothing: 0
+    if any(np.isnan(level.max()) for level in logits):  # a NaN logit says nothing: 0
         logits = [np.nan_to_num(level, nan=0.0) for level in logits]
     height, width = mean.shape[:2]
     levels = len(logits)
@@ -146,152 +147,229 @@ def filter_pyramid(
     )
     if bottom or right:
         mean = cv2.copyMakeBorder(mean, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
-    *light, held = planes_of(mean)
-    pyramid = [(light, held)]
+    pyramid = [_planes(mean, strips)]
     for level in range(levels - 1):
         pool = logits[level][level_layout(level, levels, options).pool][0]
-        pyramid.append(_pool(*pyramid[-1], pool, options, strips))
-    coarser: list[np.ndarray] | None = None
+        pyramid.append(_pool(pyramid[-1], pool, options, strips))
+    coarser: np.ndarray | None = None
     for level in reversed(range(1, levels)):
-        light, held = pyramid[level]
-        layout = level_layout(level, levels, options)
-        result = [np.empty_like(held) for _ in light]
-
-        def blend(
-            rows: slice,
-            level: int = level,
-            layout: LevelLayout = layout,
-            coarser: list[np.ndarray] | None = coarser,
-            result: list[np.ndarray] = result,
-        ) -> None:
-            planes = _blend(rows, *pyramid[level], coarser, logits[level], layout, options)
-            for target, plane in zip(result, planes, strict=True):
-                target[rows] = plane
-
-        strips.run(blend, *held.shape)
-        coarser = _double(result)
+        coarser = _double(
+            _blended(
+                pyramid[level],
+                coarser,
+                logits[level],
+                level_layout(level, levels, options),
+                options,
+                strips,
+            )
+        )
     image = np.empty((height, width, 3), np.float32)
     finest = level_layout(0, levels, options)
 
     def finish(rows: slice) -> None:
-        # the resolve looks one row up and down
-        around = slice(max(rows.start - 1, 0), min(rows.stop + 1, height))
-        planes = _blend(around, *pyramid[0], coarser, logits[0], finest, options)
-        if divisor is not None:
-            for channel, plane in enumerate(planes):
-                plane[:, :width] *= divisor[around, :, channel]
-        image[rows] = _resolve(
-            [plane[:, :width] for plane in planes],
-            rows,
+        # the resolve looks one pixel around; at the border of the frame that is repeated
+        around, inner = with_halo(rows, 1, height)
+        count = rows.stop - rows.start
+        padded = strips.scratch.array("padded", (3, count + 2, mean.shape[1] + 2))
+        top = 1 - inner.start
+        filled = slice(top, top + around.stop - around.start)
+        _blend(
             around,
-            logits[0][finest.resolve, rows, :width],
-            None if previous is None else previous[rows],
+            pyramid[0],
+            coarser,
+            logits[0],
+            finest,
             options,
+            padded[:, filled, 1:-1],
+            strips.scratch,
         )
+        if divisor is not None:
+            for channel in range(3):
+                padded[channel, filled, 1 : 1 + width] *= divisor[around, :, channel]
+        padded = padded[:, :, : width + 2]
+        padded[:, :, 0], padded[:, :, -1] = padded[:, :, 1], padded[:, :, -2]
+        if rows.start == 0:
+            padded[:, 0] = padded[:, 1]
+        if rows.stop == height:
+            padded[:, -1] = padded[:, -2]
+        past = None if previous is None else previous[rows]
+        maps = logits[0][finest.resolve, rows, :width]
+        _resolve(padded, maps, past, options, image[rows], strips.scratch)
 
-    strips.run(finish, height, width)
+    strips.run(finish, height, width, pixels=FILTER_PIXELS)
     return image
 
 
-def _pool(
-    light: list[np.ndarray],
-    held: np.ndarray,
-    pool: np.ndarray,
-    options: PyramidKernels,
-    strips: Strips,
-) -> tuple[list[np.ndarray], np.ndarray]:
-    """Light and samples of the next coarser level: weighted means of 2x2 blocks."""
-    height, width = (size // 2 for size in held.shape)
-    coarse = [np.empty((height, width), np.float32) for _ in light]
-    samples = np.empty((height, width), np.float32)
+def _planes(mean: np.ndarray, strips: Strips) -> np.ndarray:
+    """Light and samples as ``(4, h, w)``."""
+    planes = np.empty((4, *mean.shape[:2]), np.float32)
 
     def work(rows: slice) -> None:
-        fine = slice(2 * rows.start, 2 * rows.stop)
-        importance = _bounded_exp(pool[fine], options)
-        total = _halve(importance)
-        importance *= held[fine]
-        weight = _halve(importance)
-        inverse = 1 / weight
-        for plane, target in zip(light, coarse, strict=True):
-            np.multiply(_halve(importance * plane[fine]), inverse, out=target[rows])
-        np.divide(weight, total, out=samples[rows])
+        count = rows.stop - rows.start
+        part = strips.scratch.array("mean", (4, count, mean.shape[1]))
+        planes[:, rows] = planes_of(mean[rows], out=part)
+
+    strips.run(work, *mean.shape[:2])
+    return planes
+
+
+def _pool(
+    fine: np.ndarray, pool: np.ndarray, options: PyramidKernels, strips: Strips
+) -> np.ndarray:
+    """The next coarser level of ``(4, h, w)`` light and samples: weighted means of 2x2 blocks."""
+    height, width = (size // 2 for size in fine.shape[1:])
+    coarse = np.empty((4, height, width), np.float32)
+
+    def work(rows: slice) -> None:
+        scratch = strips.scratch
+        source = slice(2 * rows.start, 2 * rows.stop)
+        shape = (source.stop - source.start, 2 * width)
+        weight, product = scratch.array("weight", shape), scratch.array("product", shape)
+        _bounded_exp(pool[source], options, weight)
+        total = _halve(weight)
+        weight *= fine[3, source]
+        held = _halve(weight)
+        np.divide(held, total, out=coarse[3, rows])
+        np.reciprocal(held, out=held)
+        for channel in range(3):
+            np.multiply(weight, fine[channel, source], out=product)
+            np.multiply(_halve(product), held, out=coarse[channel, rows])
 
     strips.run(work, height, width)
-    return coarse, samples
+    return coarse
+
+
+def _blended(
+    planes: np.ndarray,
+    coarser: np.ndarray | None,
+    logits: np.ndarray,
+    layout: LevelLayout,
+    options: PyramidKernels,
+    strips: Strips,
+) -> np.ndarray:
+    """A whole level, ``(3, h, w)``."""
+    result = np.empty((3, *planes.shape[1:]), np.float32)
+
+    def work(rows: slice) -> None:
+        _blend(rows, planes, coarser, logits, layout, options, result[:, rows], strips.scratch)
+
+    strips.run(work, *planes.shape[1:])
+    return result
 
 
 def _blend(
     rows: slice,
-    light: list[np.ndarray],
-    held: np.ndarray,
-    coarser: list[np.ndarray] | None,
+    planes: np.ndarray,
+    coarser: np.ndarray | None,
     logits: np.ndarray,
     layout: LevelLayout,
     options: PyramidKernels,
-) -> list[np.ndarray]:
-    """Rows of a level: itself, its kernels and the coarser level, by their shares."""
-    halo = max(options.kernel_sizes) // 2
-    outer = slice(max(rows.start - halo, 0), min(rows.stop + halo, held.shape[0]))
-    inner = slice(rows.start - outer.start, rows.stop - outer.start)
-    shares = _bounded_exp(logits[layout.blend, rows], options)
+    out: np.ndarray,
+    scratch: Scratch,
+) -> None:
+    """Rows of a level: itself, its kernels and the coarser level, by their shares.
+
+    Parameters
+    ----------
+    rows
+        Which rows of the level.
+    planes : (4, h, w) float32
+        Light and samples of the whole level.
+    coarser : (3, h, w) float32 or None
+        The coarser level at this level's size; None at the coarsest.
+    logits : (planes, h, w) float32
+    layout, options
+        Of the logits.
+    out : (3, rows, w) float32
+        Written.
+    scratch
+        Where temporaries lie.
+    """
+    height, width = planes.shape[1:]
+    shape = (rows.stop - rows.start, width)
+    maps = logits[layout.blend, rows]
+    shares = scratch.array("shares", maps.shape)
+    _bounded_exp(maps, options, shares)
     others = list(shares)
     if coarser is None:  # itself at logit 0, then the kernels
-        total = [plane[rows].copy() for plane in light]
+        np.copyto(out, planes[:3, rows])
     else:  # the coarser level at logit 0, then itself, then the kernels
-        total = [plane[rows].copy() for plane in coarser]
+        np.copyto(out, coarser[:, rows])
         own = others.pop(0)
-        for plane, sums in zip(light, total, strict=True):
+        for plane, sums in zip(planes, out, strict=False):
             cv2.accumulateProduct(plane[rows], own, sums)
-    normal = shares.sum(axis=0)
+    normal = scratch.array("normal", shape)
+    np.add(shares[0], shares[1], out=normal)
+    for share in shares[2:]:
+        normal += share
     normal += 1
-    for size, share, maps in zip(
-        options.kernel_sizes, others, logits[layout.importance, outer], strict=True
-    ):
-        weight = _bounded_exp(maps, options)
-        weight *= held[outer]
-        share /= _box(weight, size)[inner]
-        for plane, sums in zip(light, total, strict=True):
-            cv2.accumulateProduct(_box(weight * plane[outer], size)[inner], share, sums)
-    for sums in total:
-        sums /= normal
-    return total
+    for index, (size, share) in enumerate(zip(options.kernel_sizes, others, strict=True)):
+        near, inner = with_halo(rows, size // 2, height)
+        strip = (near.stop - near.start, width)
+        weight, product, box = (scratch.array(name, strip) for name in ("weight", "product", "box"))
+        _bounded_exp(logits[layout.importance][index, near], options, weight)
+        weight *= planes[3, near]
+        share /= _box(weight, size, box)[inner]
+        for plane, sums in zip(planes, out, strict=False):
+            np.multiply(weight, plane[near], out=product)
+            cv2.accumulateProduct(_box(product, size, box)[inner], share, sums)
+    np.reciprocal(normal, out=normal)
+    for sums in out:
+        sums *= normal
 
 
 def _resolve(
-    planes: list[np.ndarray],
-    rows: slice,
-    around: slice,
+    padded: np.ndarray,
     logits: np.ndarray,
     previous: np.ndarray | None,
     options: PyramidKernels,
-) -> np.ndarray:
-    """Average pixels with their neighbours and the previous output."""
-    weights = _bounded_exp(logits, options)
-    count, width = rows.stop - rows.start, planes[0].shape[1]
-    above, below = 1 - (rows.start - around.start), 1 - (around.stop - rows.stop)
-    normal = weights[:-1].sum(axis=0)
+    out: np.ndarray,
+    scratch: Scratch,
+) -> None:
+    """Average pixels with their neighbours and the previous output.
+
+    Parameters
+    ----------
+    padded : (3, h + 2, w + 2) float32
+        Radiance, with one pixel more on each side.
+    logits : (9, h, w) float32
+        Of the neighbours and the previous output.
+    previous : (h, w, 4) float32 or None
+        The previous output, and how much of it is valid.
+    out : (h, w, 3) float32
+        Written.
+    """
+    height, width = out.shape[:2]
+    weights = scratch.array("weights", logits.shape)
+    _bounded_exp(logits, options, weights)
+    normal = scratch.array("normal", (height, width))
+    np.add(weights[0], weights[1], out=normal)
+    for weight in weights[2:-1]:
+        normal += weight
     normal += 1
+    past: np.ndarray | None = None
     if previous is not None:
-        weights[-1] *= previous[..., 3]
+        past = planes_of(previous, out=scratch.array("past", (4, height, width)))
+        weights[-1] *= past[3]
         normal += weights[-1]
-    resolved = []
-    for channel, plane in enumerate(planes):
-        padded = cv2.copyMakeBorder(plane, above, below, 1, 1, cv2.BORDER_REPLICATE)
-        total = padded[1 : 1 + count, 1 : 1 + width].copy()
+    np.reciprocal(normal, out=normal)
+    resolved = scratch.array("resolved", (3, height, width))
+    for channel, (plane, total) in enumerate(zip(padded, resolved, strict=True)):
+        np.copyto(total, plane[1:-1, 1:-1])
         for weight, (down, right) in zip(weights, NEIGHBOURS, strict=False):
-            moved = padded[1 + down : 1 + down + count, 1 + right : 1 + right + width]
+            moved = plane[1 + down : 1 + down + height, 1 + right : 1 + right + width]
             cv2.accumulateProduct(moved, weight, total)
-        if previous is not None:
-            cv2.accumulateProduct(np.ascontiguousarray(previous[..., channel]), weights[-1], total)
-        total /= normal
-        resolved.append(total)
-    return cv2.merge(resolved)
+        if past is not None:
+            cv2.accumulateProduct(past[channel], weights[-1], total)
+        total *= normal
+    interleave(resolved, out=out)
 
 
-def _box(plane: np.ndarray, size: int) -> np.ndarray:
+def _box(plane: np.ndarray, size: int, out: np.ndarray) -> np.ndarray:
     # normalised, so that sums of large radiance stay finite; no running sums, see kernels.py
     kernel = np.full(size, 1 / size, np.float32)
-    return cv2.sepFilter2D(plane, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
+    border = cv2.BORDER_CONSTANT
+    return cv2.sepFilter2D(plane, cv2.CV_32F, kernel, kernel, dst=out, borderType=border)
 
 
 def _halve(plane: np.ndarray) -> np.ndarray:
@@ -300,16 +378,17 @@ def _halve(plane: np.ndarray) -> np.ndarray:
     return cv2.resize(plane, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
 
 
-def _double(planes: list[np.ndarray]) -> list[np.ndarray]:
+def _double(planes: np.ndarray) -> np.ndarray:
     """Twice the size, bilinear between pixel centres."""
-    height, width = planes[0].shape
-    return [
-        cv2.resize(plane, (2 * width, 2 * height), interpolation=cv2.INTER_LINEAR)
-        for plane in planes
-    ]
+    count, height, width = planes.shape
+    doubled = np.empty((count, 2 * height, 2 * width), np.float32)
+    for plane, target in zip(planes, doubled, strict=True):
+        cv2.resize(plane, (2 * width, 2 * height), dst=target, interpolation=cv2.INTER_LINEAR)
+    return doubled
 
 
-def _bounded_exp(logits: np.ndarray, options: PyramidKernels) -> np.ndarray:
+def _bounded_exp(logits: np.ndarray, options: PyramidKernels, out: np.ndarray) -> None:
     bound = np.float32(options.logit_bound)
-    bounded = np.clip(logits, -bound, bound)
-    return np.exp(bounded, out=bounded)
+    np.clip(logits, -bound, bound, out=out)
+    flat = out.reshape(-1, out.shape[-1])
+    cv2.exp(flat, dst=flat)
