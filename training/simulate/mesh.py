@@ -209,10 +209,7 @@ def sheet(heights: np.ndarray, width: float, height: float) -> Mesh:
     dy, dx = np.gradient(heights, height / (rows - 1), width / (columns - 1))
     normals = np.stack([-dx, -dy, np.ones_like(dx)], -1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    mesh = _grid(np.stack([x, y, heights], -1), normals, np.stack([x, y], -1))
-    return Mesh(
-        vertices=mesh.vertices, normals=mesh.normals, uvs=mesh.uvs, faces=mesh.faces[:, ::-1]
-    )
+    return _grid(np.stack([x, y, heights], -1), normals, np.stack([x, y], -1))
 
 
 def _grid(vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray) -> Mesh:
@@ -220,7 +217,7 @@ def _grid(vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray) -> Mesh:
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     faces = np.concatenate(
-        [np.stack([a, c, b], -1).reshape(-1, 3), np.stack([a, d, c], -1).reshape(-1, 3)]
+        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
     )
     return Mesh(
         vertices=vertices.reshape(-1, 3),

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from stillray.errors import InputError
 from stillray.training.simulate.camera import Camera
 from stillray.training.simulate.mesh import Mesh
 from stillray.training.simulate.node import Node, to_mitsuba
@@ -43,11 +42,12 @@ class Stage:
         self.height, self.width = height, width
         self.groups = list(plan.motions)
         objects = self._file_objects()
+        moving = {name: objects[name] for name in self.groups if name in objects}
         objects.update(self._meshes())
         objects.update({name: to_mitsuba(mi, node) for name, node in plan.lights.items()})
         self.medium = mi.load_dict(to_mitsuba(mi, plan.medium)) if plan.medium else None
         if self.medium is not None:
-            objects[HULL] = self._hull(self.medium, objects)
+            objects[HULL] = self._hull(self.medium)
         self.scene = mi.load_dict({"type": "scene", **objects})
         self.integrator = mi.load_dict(to_mitsuba(mi, plan.integrator))
         scale = plan.wants.reference_scale
@@ -61,6 +61,11 @@ class Stage:
             for shape in self.scene.shapes()
             if shape.id() in plan.shapes and plan.shapes[shape.id()].group
         ]
+        self.movers += [(shape, self.groups.index(name) + 1) for name, shape in moving.items()]
+        self._file_points = {
+            name: np.array(mi.traverse(shape)["vertex_positions"], float).reshape(-1, 3)
+            for name, shape in moving.items()
+        }
 
     def matrices(self, time: float) -> dict[str, np.ndarray]:
         """World transforms of the moving groups at a time in frames."""
@@ -77,6 +82,11 @@ class Stage:
         }
         for name, mesh in moved.items():
             self._parameters[f"{name}.vertex_positions"] = _flat(mesh.vertices)
+        for name, points in self._file_points.items():
+            matrix = self.plan.motions[name](time)
+            self._parameters[f"{name}.vertex_positions"] = _flat(
+                points @ matrix[:3, :3].T + matrix[:3, 3]
+            )
         for light, group in self.plan.light_groups.items():
             where = np.append(self.plan.lights[light].params["position"], 1.0)
             place = self.plan.motions[group](time) @ where
@@ -154,24 +164,23 @@ class Stage:
     def _file_objects(self) -> dict[str, Any]:
         if self.plan.world.file is None:
             return {}
-        path = self.plan.world.file.path
-        try:
-            base = self.mi.load_file(str(path))
-        except RuntimeError as error:
-            reason = " ".join(str(error).split())
-            raise InputError(f"{path}: Mitsuba cannot load it: {reason}") from None
+        base = self.plan.world.file.scene
         objects = {f"file{index}": shape for index, shape in enumerate(base.shapes())}
         surface = self.mi.EmitterFlags.Surface  # those come with their shapes
         alone = [e for e in base.emitters() if not self.mi.has_flag(e.flags(), surface)]
         objects.update({f"file_light{index}": light for index, light in enumerate(alone)})
         return objects
 
-    def _hull(self, medium: Any, objects: dict[str, Any]) -> dict[str, Any]:
+    def _hull(self, medium: Any) -> dict[str, Any]:
         corners = [s.mesh.vertices for s in self.plan.shapes.values()]
-        for shape in objects.values():
-            if not isinstance(shape, dict) and hasattr(shape, "bbox"):
-                box = shape.bbox()
-                corners.append(np.array([box.min, box.max], float).reshape(2, 3))
+        if self.plan.world.file:
+            box = self.plan.world.file.scene.bbox()
+            ends = np.array([box.min, box.max], float).reshape(2, 3)
+            corners.append(ends)
+            if self.plan.world.home:  # cameras orbit the scene, perhaps from outside of it
+                middle = ends.mean(axis=0)
+                reach = np.linalg.norm(self.plan.world.home.to_world[:3, 3] - middle)
+                corners.append(middle + reach * np.array([[-1.0] * 3, [1.0] * 3]))
         if self.plan.world.space:
             corners.append(np.array(self.plan.world.space))
         points = np.concatenate(corners)

@@ -62,7 +62,8 @@ def look(stage: Stage, cameras: list[Camera]) -> list[View]:
                 nearest=float(d[hit].min()),
                 middle=float(np.median(d[hit])),
                 hits=float(hit.mean()),
-                backs=float((f[hit] > 0).mean()),
+                # files have surfaces that face every way
+                backs=0.0 if stage.plan.world.file else float((f[hit] > 0).mean()),
                 kinds=len(np.unique(shape[hit])),
             )
         )
@@ -192,7 +193,7 @@ def require_open(stage: Stage, path: CameraPath, frames: int) -> float:
     origin = ", ".join(f"{v:g}" for v in camera.to_world[:3, 3])
     stage.pose(0.0)
     view = look(stage, [camera])[0]
-    if inside(stage, camera, view.middle) or view.backs > 0.9:
+    if inside(stage, camera, view.middle) or view.backs > 0.5:
         raise InputError(
             f"origin must be in the open, got {origin}: inside or behind geometry"
         )

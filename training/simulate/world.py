@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -95,6 +96,7 @@ class File:
     """A Mitsuba XML file as a part of a world."""
 
     path: Path
+    scene: Any  # as Mitsuba has loaded it
     plugins: dict[str, int]  # how often it uses which plugin
     effects: tuple[str, ...]  # those it shows by itself: they cannot be left out
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from stillray.errors import InputError
 from stillray.training.simulate.camera import Camera
-from stillray.training.simulate.world import File, Fog, Sky, Sun, World
+from stillray.training.simulate.mesh import rotation, translation
+from stillray.training.simulate.world import File, Fog, Motion, Sky, Sun, World
 
 # Which plugins mean that a file shows an effect by itself.
 _SHOWS = {
@@ -28,11 +29,11 @@ _NOT_OURS = {"scene", "path", "volpath", "perspective", "thinlens", "hdrfilm", "
 
 
 def open_xml(mi: Any, path: Path, seed: int) -> World:
-    """Read what a Mitsuba XML file holds, without loading its meshes.
+    """Load a Mitsuba XML file and list what it shows.
 
     The file's materials and lights stay as they are. Effects that it does not show by itself can
-    be added if they concern light from infinity, the lens, the shutter or a medium; their
-    parameters are drawn from the seed.
+    be added if they concern light from infinity, the lens, the shutter, a medium, or its smaller
+    meshes in motion; their parameters are drawn from the seed.
 
     Raises
     ------
@@ -56,6 +57,12 @@ def open_xml(mi: Any, path: Path, seed: int) -> World:
     shows = tuple(
         effect for effect, plugins in _SHOWS.items() if any(counts[plugin] for plugin in plugins)
     )
+    try:
+        scene = mi.load_file(str(path))
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: Mitsuba cannot load it: {reason}") from None
+    extent = _extents(scene.bbox()).max()
     rng = np.random.default_rng([seed, 5])
     azimuth = rng.uniform(0, 2 * np.pi)
     down = float(-np.tan(np.radians(rng.uniform(20, 60))))
@@ -64,12 +71,41 @@ def open_xml(mi: Any, path: Path, seed: int) -> World:
         sky=Sky(kind=str(rng.choice(["clear", "cloudy", "studio"])), seed=seed),
         sun=Sun(direction=(float(np.cos(azimuth)), down, float(np.sin(azimuth))),
                 irradiance=(4.0, 3.7, 3.2)),
-        fog=Fog(extinction=float(rng.uniform(0.02, 0.15))),
+        fog=Fog(extinction=float(rng.uniform(0.2, 2.0) / extent)),
         shutter=float(rng.uniform(0.3, 1.0)),
+        moving=_moving(mi, scene, rng),
         home=_home(mi, path),
         effects=shows,
-        file=File(path=path, plugins=dict(+counts), effects=shows),
+        file=File(path=path, scene=scene, plugins=dict(+counts), effects=shows),
     )  # fmt: skip
+
+
+def _extents(box: Any) -> np.ndarray:
+    return np.array(box.max, float).ravel() - np.array(box.min, float).ravel()
+
+
+def _moving(mi: Any, scene: Any, rng: np.random.Generator) -> dict[str, Motion]:
+    """One mesh of the file that is neither tiny nor a part of the building, if there is one."""
+    extent = _extents(scene.bbox()).max()
+    able = [
+        (f"file{index}", shape)
+        for index, shape in enumerate(scene.shapes())
+        if shape.is_mesh() and 0.02 * extent < _extents(shape.bbox()).max() < 0.35 * extent
+    ]
+    heading, speed = rng.uniform(0, 2 * np.pi), extent * rng.uniform(0.002, 0.01)
+    spin, chosen = float(rng.normal() * 3), int(rng.integers(1 << 16))
+    if not able:
+        return {}
+    name, shape = able[chosen % len(able)]
+    box = shape.bbox()
+    centre = (np.array(box.min, float).ravel() + np.array(box.max, float).ravel()) / 2
+    step = speed * np.array([np.cos(heading), 0.0, np.sin(heading)])
+
+    def pose(time: float) -> np.ndarray:
+        turn = rotation([0, 1, 0], spin * time)
+        return translation(centre + step * time) @ turn @ translation(-centre)
+
+    return {name: pose}
 
 
 def _home(mi: Any, path: Path) -> Camera:

@@ -40,7 +40,8 @@ class Texture(Effect):
 
 
 def bitmap(image: np.ndarray, size: float, asked_by: str) -> Node:
-    """A texture node that spans ``size`` metres of the surface and repeats."""
+    """A texture node that spans ``size`` metres of the surface and repeats, row 0 on top."""
+    image = np.ascontiguousarray(image[::-1])  # Mitsuba has v = 0 at the first row
     scale = np.diag([1 / size, 1 / size, 1.0, 1.0])
     params = {"bitmap": image, "raw": True, "to_uv": scale}
     return Node(plugin="bitmap", asked_by=asked_by, params=params)

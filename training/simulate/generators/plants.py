@@ -24,7 +24,7 @@ def plant(b: Builder, at: np.ndarray, height: float, group: str = "") -> None:
         ]
         b.add(join(blades), leaf, at=top, group=group)
         return
-    stems, leaves = [], []
+    stems, places = [], []
     for _ in range(int(b.rng.integers(4, 10))):
         lean = b.rng.normal(size=2) * (0.45 if style == "bush" else 0.3)
         t = np.linspace(0, 1, 8)[:, None]
@@ -32,17 +32,16 @@ def plant(b: Builder, at: np.ndarray, height: float, group: str = "") -> None:
         stems.append(tube(line, height * 0.008, sides=5))
         start = 2 if style == "bush" else 6
         for point in line[start:]:
-            for _ in range(int(b.rng.integers(2, 5))):
-                leaves.append(_leaf(b, point, height * b.between(0.1, 0.24)))
+            places += [point] * int(b.rng.integers(2, 5))
     b.add(join(stems), stem, at=top, group=group)
-    b.add(join(leaves), leaf, at=top, group=group)
+    b.add(_leaves(b, np.array(places), 0.1 * height, 0.24 * height), leaf, at=top, group=group)
 
 
 def tree(b: Builder, at: np.ndarray, height: float) -> None:
     """A trunk, branches, and a crown of leaves."""
     bark = Surface(color=(0.16, 0.11, 0.07), texture=b.texture("noise", (0.08, 0.05, 0.03), (0.25, 0.18, 0.12), 0.5))
     leaf = Surface(color=_green(b), two_sided=True)
-    wood, leaves = [], []
+    wood, places = [], []
     trunk = np.array([[0, 0, 0], [0.03, 0.25, 0.01], [0.0, 0.5, 0.03]]) * height
     wood.append(tube(trunk, 0.025 * height, sides=10))
     for _ in range(int(b.rng.integers(8, 16))):
@@ -53,11 +52,11 @@ def tree(b: Builder, at: np.ndarray, height: float) -> None:
         line = start + heading * t + [0, 0.06 * height, 0] * np.sin(np.pi * t / 2)
         wood.append(tube(line, 0.008 * height, sides=6))
         for point in line[2:]:
-            for _ in range(int(b.rng.integers(10, 26))):
-                spread = b.rng.normal(size=3) * 0.06 * height
-                leaves.append(_leaf(b, point + spread, height * b.between(0.02, 0.045)))
+            count = int(b.rng.integers(20, 60))
+            places.append(point + b.rng.normal(size=(count, 3)) * 0.07 * height)
     b.add(join(wood), bark, at=at)
-    b.add(join(leaves), leaf, at=at)
+    crown = _leaves(b, np.concatenate(places), 0.02 * height, 0.05 * height)
+    b.add(crown, leaf, at=at)
 
 
 def _green(b: Builder) -> tuple[float, float, float]:
@@ -65,16 +64,36 @@ def _green(b: Builder) -> tuple[float, float, float]:
     return (light * b.between(0.3, 0.9), light, light * b.between(0.1, 0.5))
 
 
-def _leaf(b: Builder, at: np.ndarray, size: float) -> Mesh:
-    """A pointed leaf, folded along its middle."""
-    long, wide, fold = size, size * b.between(0.3, 0.6), size * 0.08
-    vertices = np.array([[0, 0, 0], [wide / 2, fold, long / 2], [0, 0, long], [-wide / 2, fold, long / 2]])
-    faces = np.array([[0, 2, 1], [0, 3, 2]])
-    normals = np.tile([0, 1.0, 0], (4, 1))
-    mesh = Mesh(vertices=vertices, normals=normals, uvs=vertices[:, [0, 2]], faces=faces)
-    turn = rotation([0, 1, 0], b.between(0, 360)) @ rotation([1, 0, 0], b.between(-60, 50))
-    turn = turn @ rotation([0, 0, 1], b.between(-40, 40))
-    return mesh.moved(lift(*at) @ turn)
+def _leaves(b: Builder, points: np.ndarray, low: float, high: float) -> Mesh:
+    """Pointed leaves, folded along their middle, one at each of ``(n, 3)`` points, all ways."""
+    n = len(points)
+    long = b.rng.uniform(low, high, n)
+    wide, fold = long * b.rng.uniform(0.3, 0.6, n), long * 0.08
+    zero = np.zeros(n)
+    corners = np.stack([
+        np.stack([zero, zero, zero], -1), np.stack([wide / 2, fold, long / 2], -1),
+        np.stack([zero, zero, long], -1), np.stack([-wide / 2, fold, long / 2], -1),
+    ], axis=1)  # fmt: skip
+    turn = _turns(1, b.rng.uniform(0, 360, n)) @ _turns(0, b.rng.uniform(-60, 50, n))
+    turn = turn @ _turns(2, b.rng.uniform(-40, 40, n))
+    placed = corners @ turn.transpose(0, 2, 1) + points[:, None]
+    faces = np.array([[0, 2, 1], [0, 3, 2]]) + 4 * np.arange(n)[:, None, None]
+    return Mesh(
+        vertices=placed.reshape(-1, 3),
+        normals=np.repeat(turn[:, :, 1], 4, axis=0),
+        uvs=corners[..., [0, 2]].reshape(-1, 2),
+        faces=faces.reshape(-1, 3),
+    )
+
+
+def _turns(axis: int, degrees: np.ndarray) -> np.ndarray:
+    """``(n, 3, 3)`` right-handed rotations about one coordinate axis."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    u, v = (axis + 1) % 3, (axis + 2) % 3
+    turns = np.zeros((len(degrees), 3, 3))
+    turns[:, axis, axis] = 1
+    turns[:, u, u], turns[:, v, v], turns[:, v, u], turns[:, u, v] = c, c, s, -s
+    return turns
 
 
 def _blade(b: Builder, height: float, width: float) -> Mesh:
