@@ -24,7 +24,9 @@ def everything() -> World:
     """A floor, a ball, a box, a mirror, a lamp: a scene that could show every effect."""
     wood = Surface(
         color=(0.5, 0.4, 0.3),
-        texture=Texture(kind="checker", seed=1, low=(0.1, 0.1, 0.1), high=(0.9, 0.8, 0.7), size=2.0),
+        texture=Texture(
+            kind="checker", seed=1, low=(0.1, 0.1, 0.1), high=(0.9, 0.8, 0.7), size=2.0
+        ),
         roughness=0.2,
     )
     return World(
@@ -38,7 +40,11 @@ def everything() -> World:
                 surface=Surface(color=(0.9, 0.9, 0.9), special="mirror"),
             ),
         ],
-        lamps=[Lamp(mesh=sphere([1, 3, 2], 0.3, rings=6), radiance=(9, 9, 8), around=True, group="lamp")],
+        lamps=[
+            Lamp(
+                mesh=sphere([1, 3, 2], 0.3, rings=6), radiance=(9, 9, 8), around=True, group="lamp"
+            )
+        ],
         sky=Sky(kind="cloudy", seed=2, radiance=0.4),
         sun=Sun(direction=(0.4, -1.0, -0.3), irradiance=(2, 2, 2)),
         fog=Fog(extinction=0.1),
@@ -73,10 +79,14 @@ def moment(path=None, *, frame: int = 1, focus: float = 5.0, jitter=(0.0, 0.0)) 
 
 def noisy(mi, world: World, effects=(), *, path=None, spp: int = 1, seed: int = 3, **options):
     """One noisy frame of a world."""
-    return buffers.render_noisy(stage_of(mi, world, effects, **options), moment(path), spp=spp, seed=seed)
+    return buffers.render_noisy(
+        stage_of(mi, world, effects, **options), moment(path), spp=spp, seed=seed
+    )
 
 
-def exact(mi, world: World, effects=(), *, path=None, focus=5.0, spp: int = 64, seed: int = 3, **options):
+def exact(
+    mi, world: World, effects=(), *, path=None, focus=5.0, spp: int = 64, seed: int = 3, **options
+):
     """A reference of a world."""
     stage = stage_of(mi, world, effects, **options)
     return buffers.render_reference(stage, moment(path, focus=focus), spp=spp, seed=seed)

@@ -36,7 +36,8 @@ def down(x: float = 0.0, z: float = 0.0, *, y: float = 4.0, fov: float = 40.0):
     from stillray.training.simulate.camera import Camera, look_at
 
     return Camera(
-        to_world=look_at(np.array([x, y, z]), np.array([x, 0, z]), np.array([0, 0, -1.0])), fov_x=fov
+        to_world=look_at(np.array([x, y, z]), np.array([x, 0, z]), np.array([0, 0, -1.0])),
+        fov_x=fov,
     )
 
 
@@ -71,7 +72,10 @@ def test_an_effect_not_asked_for_leaves_the_pixels_as_if_it_did_not_exist(
 def test_an_effect_asked_for_changes_the_picture(mi, base, name):
     path = None
     if name == "motion_blur":  # without anything that moves there is nothing to blur
-        path = lambda time: replace(FRONT, to_world=translation([0.3 * time, 0, 0]) @ FRONT.to_world)  # noqa: E731
+
+        def path(time):
+            return replace(FRONT, to_world=translation([0.3 * time, 0, 0]) @ FRONT.to_world)
+
         base = noisy(mi, everything(), spp=2, path=path)
     changed = noisy(mi, everything(), (name,), spp=2, path=path)
     assert np.abs(changed["color"] - base["color"]).max() > 0.01
@@ -81,12 +85,20 @@ def test_an_effect_asked_for_changes_the_picture(mi, base, name):
 @pytest.mark.parametrize("names", [(), ("glossy",), ("mirror_glass", "texture"), tuple(EFFECTS)])
 def test_the_loaded_scene_holds_the_plugins_of_the_plan(mi, names):
     classes = {
-        "diffuse": "SmoothDiffuse", "roughplastic": "RoughPlastic", "conductor": "SmoothConductor",
-        "roughconductor": "RoughConductor", "null": "Null", "area": "AreaLight",
-        "point": "PointLight", "envmap": "EnvironmentMapEmitter", "directional": "DirectionalEmitter",
-        "path": "PathIntegrator", "volpath": "VolumetricPathIntegrator",
-        "perspective": "PerspectiveCamera", "thinlens": "ThinLensCamera",
-    }  # fmt: skip
+        "diffuse": "SmoothDiffuse",
+        "roughplastic": "RoughPlastic",
+        "conductor": "SmoothConductor",
+        "roughconductor": "RoughConductor",
+        "null": "Null",
+        "area": "AreaLight",
+        "point": "PointLight",
+        "envmap": "EnvironmentMapEmitter",
+        "directional": "DirectionalEmitter",
+        "path": "PathIntegrator",
+        "volpath": "VolumetricPathIntegrator",
+        "perspective": "PerspectiveCamera",
+        "thinlens": "ThinLensCamera",
+    }
     stage = stage_of(mi, everything(), names)
     loaded = [stage.integrator, stage.sensor, *stage.scene.emitters()]
     loaded += [shape.bsdf() for shape in stage.scene.shapes()]
@@ -146,8 +158,11 @@ def test_a_scene_without_any_light_is_refused():
 def test_texture_shows_the_picture_at_its_place(mi):
     picture = Texture(kind="painting", seed=4, low=(0.1,) * 3, high=(0.9,) * 3, size=8.0)
     surface = Surface(color=(0.5,) * 3, texture=picture)
-    world = World(label="t", pieces=[Piece(mesh=FLOOR, surface=surface)],
-                  lamps=[Lamp(mesh=sphere([0, 3, 0], 0.1), radiance=(9, 9, 9), around=True)])  # fmt: skip
+    world = World(
+        label="t",
+        pieces=[Piece(mesh=FLOOR, surface=surface)],
+        lamps=[Lamp(mesh=sphere([0, 3, 0], 0.1), radiance=(9, 9, 9), around=True)],
+    )
     camera = down(y=4.0 / np.tan(np.radians(20)))  # sees the whole picture, x right, z down
     seen = noisy(mi, world, ("texture",), path=still(camera), spp=8, height=16, width=16)
     # u runs with x and v against z, and row 0 of a picture is its top
@@ -160,8 +175,11 @@ def test_texture_shows_the_picture_at_its_place(mi):
 
 def test_glossy_shows_a_highlight_where_the_law_of_reflection_puts_it(mi):
     metal = Surface(color=(0.9,) * 3, roughness=0.1, metal=True)
-    world = World(label="t", pieces=[Piece(mesh=FLOOR, surface=metal)],
-                  lamps=[Lamp(mesh=sphere([1.0, 2.0, 0], 0.05), radiance=(900,) * 3, around=True)])  # fmt: skip
+    world = World(
+        label="t",
+        pieces=[Piece(mesh=FLOOR, surface=metal)],
+        lamps=[Lamp(mesh=sphere([1.0, 2.0, 0], 0.05), radiance=(900,) * 3, around=True)],
+    )
     camera = down(x=-1.0, y=2.0, fov=100)
     with_it = exact(mi, world, ("glossy",), path=still(camera), spp=16, height=41, width=41)[..., 0]
     # equal heights: the mirror point lies half way between camera and lamp, at x = 0
@@ -175,14 +193,18 @@ def test_glossy_shows_a_highlight_where_the_law_of_reflection_puts_it(mi):
 
 
 @pytest.mark.parametrize(("special", "expected"), [("mirror", 0.8), ("glass", 1.0), ("pane", 1.0)])
-def test_mirror_and_glass_conserve_the_radiance_of_a_uniform_sky(mi, monkeypatch, special, expected):
+def test_mirror_and_glass_conserve_the_radiance_of_a_uniform_sky(
+    mi, monkeypatch, special, expected
+):
     # white furnace: clear glass of any form is invisible in uniform light, a mirror shows R L
     monkeypatch.setattr(
         "stillray.training.simulate.effects.environment.environment_map",
         lambda sky: np.full((16, 32, 3), 2.0, np.float32),
     )
     tint = 0.8 if special == "mirror" else 1.0
-    ball = Piece(mesh=sphere([0, 0.6, 0], 0.8, rings=24), surface=Surface(color=(tint,) * 3, special=special))
+    ball = Piece(
+        mesh=sphere([0, 0.6, 0], 0.8, rings=24), surface=Surface(color=(tint,) * 3, special=special)
+    )
     world = World(label="t", pieces=[ball], sky=Sky())
     color = exact(mi, world, ("mirror_glass", "environment"), spp=64, height=9, width=9)
     # paths that bounce on inside are cut off at the depth limit and by chance
@@ -193,10 +215,17 @@ def test_soft_shadow_has_the_penumbra_of_the_lamp(mi):
     wide, high, edge = 0.8, 4.0, 1.0  # lamp width and height, height of the occluder's edge
     world = World(
         label="t",
-        pieces=[Piece(mesh=FLOOR, surface=GREY),
-                Piece(mesh=quad([-4, edge, 1], [4, 0, 0], [0, 0, -2]), surface=replace(GREY, two_sided=True))],
-        lamps=[Lamp(mesh=quad([-wide / 2, high, -0.2], [wide, 0, 0], [0, 0, 0.4]), radiance=(20,) * 3)],
-    )  # fmt: skip
+        pieces=[
+            Piece(mesh=FLOOR, surface=GREY),
+            Piece(
+                mesh=quad([-4, edge, 1], [4, 0, 0], [0, 0, -2]),
+                surface=replace(GREY, two_sided=True),
+            ),
+        ],
+        lamps=[
+            Lamp(mesh=quad([-wide / 2, high, -0.2], [wide, 0, 0], [0, 0, 0.4]), radiance=(20,) * 3)
+        ],
+    )
     expected = wide * edge / (high - edge)  # similar triangles
     camera = down(x=0.0, y=0.9, fov=40)  # under the occluder
     width = 60
@@ -237,8 +266,11 @@ def test_environment_lights_a_floor_with_its_cosine_integral(mi):
 def test_the_dark_half_of_an_indoor_sky_lies_behind_the_windows(mi, facing):
     from stillray.training.simulate.camera import Camera, look_at
 
-    world = World(label="t", pieces=[Piece(mesh=sphere([0, -99, 0], 0.1), surface=GREY)],
-                  sky=Sky(kind="cloudy", facing=facing))  # fmt: skip
+    world = World(
+        label="t",
+        pieces=[Piece(mesh=sphere([0, -99, 0], 0.1), surface=GREY)],
+        sky=Sky(kind="cloudy", facing=facing),
+    )
     eye = np.array([0, 1.0, 0])
     for sign in (1, -1):
         view = look_at(eye, eye + sign * np.array(facing) + [0, 0.4, 0], np.array([0, 1.0, 0]))
@@ -250,8 +282,11 @@ def test_the_dark_half_of_an_indoor_sky_lies_behind_the_windows(mi, facing):
 def test_sun_lights_a_floor_by_the_cosine_law_and_casts_a_sharp_shadow(mi):
     direction = np.array([1.0, -1.0, 0.0])
     wall = Piece(mesh=box([0, 0.5, 0], [0.02, 1.0, 2.0]), surface=Surface(color=(0.0,) * 3))
-    world = World(label="t", pieces=[Piece(mesh=FLOOR, surface=GREY), wall],
-                  sun=Sun(direction=tuple(direction), irradiance=(3.0, 3.0, 3.0)))  # fmt: skip
+    world = World(
+        label="t",
+        pieces=[Piece(mesh=FLOOR, surface=GREY), wall],
+        sun=Sun(direction=tuple(direction), irradiance=(3.0, 3.0, 3.0)),
+    )
     camera = down(y=6.0, fov=30)
     color = exact(mi, world, ("sun",), path=still(camera), spp=16, height=21, width=41)[..., 0]
     lit = 0.5 / np.pi * 3.0 * np.cos(np.radians(45))
@@ -263,12 +298,19 @@ def test_sun_lights_a_floor_by_the_cosine_law_and_casts_a_sharp_shadow(mi):
 
 def test_a_moving_light_moves_its_spot_by_its_own_displacement(mi):
     world = World(
-        label="t", pieces=[Piece(mesh=FLOOR, surface=GREY)],
-        lamps=[Lamp(mesh=sphere([-0.5, 0.4, 0], 0.05), radiance=(50,) * 3, around=True, group="lamp")],
+        label="t",
+        pieces=[Piece(mesh=FLOOR, surface=GREY)],
+        lamps=[
+            Lamp(mesh=sphere([-0.5, 0.4, 0], 0.05), radiance=(50,) * 3, around=True, group="lamp")
+        ],
         swinging={"lamp": lambda time: translation([time, 0, 0])},
-    )  # fmt: skip
+    )
     camera = down(y=6.0, fov=30)
-    for names, place in ((("moving_light",), 0.5), (("moving_light", "soft_shadow"), 0.5), ((), -0.5)):
+    for names, place in (
+        (("moving_light",), 0.5),
+        (("moving_light", "soft_shadow"), 0.5),
+        ((), -0.5),
+    ):
         color = exact(mi, world, names, path=still(camera), spp=16, height=41, width=41)[..., 0]
         if "soft_shadow" in names:  # the lamp itself is in the picture: look at its column
             color = np.minimum(color, np.median(color) * 50)
@@ -280,11 +322,16 @@ def test_a_moving_light_moves_its_spot_by_its_own_displacement(mi):
 
 def test_a_moving_object_is_seen_where_it_is_at_that_frame(mi):
     world = World(
-        label="t", pieces=[Piece(mesh=FLOOR, surface=GREY),
-                           Piece(mesh=box([0, 0.1, 0], [0.5, 0.2, 0.5]), surface=Surface(color=(0.9,) * 3), group="b")],
+        label="t",
+        pieces=[
+            Piece(mesh=FLOOR, surface=GREY),
+            Piece(
+                mesh=box([0, 0.1, 0], [0.5, 0.2, 0.5]), surface=Surface(color=(0.9,) * 3), group="b"
+            ),
+        ],
         lamps=[Lamp(mesh=sphere([0, 5, 0], 0.1), radiance=(900,) * 3, around=True)],
         moving={"b": spinning([0, 1, 0], 0.0, [0.7, 0, 0])},
-    )  # fmt: skip
+    )
     camera = down(y=6.0, fov=30)
     for names, place in ((("moving_object",), 0.7), ((), 0.0)):
         seen = noisy(mi, world, names, path=still(camera), height=41, width=41)
@@ -299,11 +346,25 @@ def test_depth_of_field_spreads_a_point_over_the_thin_lens_circle(mi, distance, 
 
     size, fov, radius = 61, 40.0, 0.02
     point = Lamp(mesh=sphere([0, 0, -distance], radius), radiance=(500,) * 3, around=True)
-    world = World(label="t", pieces=[Piece(mesh=sphere([0, -99, 0], 0.1), surface=GREY)],
-                  lamps=[point], lens=Lens(aperture=0.05))  # fmt: skip
-    camera = Camera(to_world=look_at(np.zeros(3), np.array([0, 0, -1.0]), np.array([0, 1.0, 0])), fov_x=fov)
-    color = exact(mi, world, ("soft_shadow", "depth_of_field"), path=still(camera), focus=focus,
-                  spp=300, height=size, width=size)[..., 0]  # fmt: skip
+    world = World(
+        label="t",
+        pieces=[Piece(mesh=sphere([0, -99, 0], 0.1), surface=GREY)],
+        lamps=[point],
+        lens=Lens(aperture=0.05),
+    )
+    camera = Camera(
+        to_world=look_at(np.zeros(3), np.array([0, 0, -1.0]), np.array([0, 1.0, 0])), fov_x=fov
+    )
+    color = exact(
+        mi,
+        world,
+        ("soft_shadow", "depth_of_field"),
+        path=still(camera),
+        focus=focus,
+        spp=300,
+        height=size,
+        width=size,
+    )[..., 0]
     focal = size / 2 / np.tan(np.radians(fov / 2))  # pixels
     aperture = 0.05 * focus  # metres
     expected = 2 * aperture * focal * abs(1 / distance - 1 / focus) + 2 * focal * radius / distance
@@ -315,10 +376,14 @@ def test_depth_of_field_spreads_a_point_over_the_thin_lens_circle(mi, distance, 
 def test_motion_blur_draws_streaks_of_the_shutters_length(mi, shutter):
     size, radius, speed = 81, 0.03, 1.2  # speed in metres a frame
     world = World(
-        label="t", pieces=[Piece(mesh=FLOOR, surface=Surface(color=(0.0,) * 3))],
-        lamps=[Lamp(mesh=sphere([-speed, 0.5, 0], radius), radiance=(9,) * 3, around=True, group="l")],
-        swinging={"l": lambda time: translation([speed * time, 0, 0])}, shutter=shutter,
-    )  # fmt: skip
+        label="t",
+        pieces=[Piece(mesh=FLOOR, surface=Surface(color=(0.0,) * 3))],
+        lamps=[
+            Lamp(mesh=sphere([-speed, 0.5, 0], radius), radiance=(9,) * 3, around=True, group="l")
+        ],
+        swinging={"l": lambda time: translation([speed * time, 0, 0])},
+        shutter=shutter,
+    )
     camera = down(y=4.5, fov=40)
     names = ("soft_shadow", "moving_light", "motion_blur")
     color = exact(mi, world, names, path=still(camera), spp=256, height=size, width=size)[..., 0]
@@ -348,8 +413,12 @@ def test_a_blurred_noisy_frame_is_unbiased(mi):
 @pytest.mark.parametrize("extinction", [0.1, 0.5])
 def test_a_medium_that_only_absorbs_follows_beer_and_lambert(mi, extinction):
     panel = Lamp(mesh=quad([-3, -3, -2], [6, 0, 0], [0, 6, 0]), radiance=(4.0, 4.0, 4.0))
-    world = World(label="t", pieces=[Piece(mesh=sphere([0, -99, 0], 0.1), surface=GREY)], lamps=[panel],
-                  fog=Fog(extinction=extinction, albedo=(0.0,) * 3))  # fmt: skip
+    world = World(
+        label="t",
+        pieces=[Piece(mesh=sphere([0, -99, 0], 0.1), surface=GREY)],
+        lamps=[panel],
+        fog=Fog(extinction=extinction, albedo=(0.0,) * 3),
+    )
     from stillray.training.simulate.camera import Camera, look_at
 
     view = look_at(np.array([0, 0, 1.0]), np.zeros(3), np.array([0, 1.0, 0]))

@@ -76,7 +76,10 @@ def test_skies_are_bright_above_and_mean_one(kind):
 
 
 def fingerprint(world: World) -> list[float]:
-    return [float(np.sum(p.mesh.vertices) + len(p.mesh.faces) + sum(p.surface.color)) for p in world.pieces]
+    return [
+        float(np.sum(p.mesh.vertices) + len(p.mesh.faces) + sum(p.surface.color))
+        for p in world.pieces
+    ]
 
 
 @pytest.mark.parametrize("name", GENERATORS)
@@ -121,17 +124,24 @@ def test_cameras_stand_in_the_open_whatever_the_seed(mi, seed):
     sizes = rng.uniform(0.4, 1.6, (14, 3))
     surface = Surface(color=(0.5,) * 3)
     room = shapes.box([0, 1.25, 0], [8, 3.5, 8])
-    walls = Mesh(vertices=room.vertices, normals=-room.normals, uvs=room.uvs, faces=room.faces[:, ::-1])
-    pieces = [Piece(mesh=shapes.box(c, s), surface=surface) for c, s in zip(centres, sizes, strict=True)]
+    walls = Mesh(
+        vertices=room.vertices, normals=-room.normals, uvs=room.uvs, faces=room.faces[:, ::-1]
+    )
+    pieces = [
+        Piece(mesh=shapes.box(c, s), surface=surface) for c, s in zip(centres, sizes, strict=True)
+    ]
     world = World(
-        label="boxes", pieces=[Piece(mesh=walls, surface=surface), *pieces],
+        label="boxes",
+        pieces=[Piece(mesh=walls, surface=surface), *pieces],
         lamps=[Lamp(mesh=shapes.sphere([0, 2.8, 0], 0.05), radiance=(9,) * 3, around=True)],
         space=(np.array([-4.5, -0.5, -4.5]), np.array([4.5, 3.0, 4.5])),  # reaches outside too
         gaze=(np.array([-3, 0, -3.0]), np.array([3, 2, 3.0])),
-    )  # fmt: skip
+    )
     stage = stage_of(mi, world)
     for move in ("dolly", "handheld"):
-        path, middle = find_path(stage, np.random.default_rng([seed, 1]), frames=4, move=move, speed=0.02)
+        path, middle = find_path(
+            stage, np.random.default_rng([seed, 1]), frames=4, move=move, speed=0.02
+        )
         assert middle > 0
         for time in np.linspace(0, 3, 13):
             place = path(time).to_world[:3, 3]
@@ -147,9 +157,11 @@ def test_cameras_stand_in_the_open_whatever_the_seed(mi, seed):
 
 def test_a_scene_without_room_for_a_camera_says_so(mi):
     world = World(
-        label="solid", pieces=[Piece(mesh=shapes.box([0, 0, 0], [4, 4, 4]), surface=Surface(color=(0.5,) * 3))],
+        label="solid",
+        pieces=[Piece(mesh=shapes.box([0, 0, 0], [4, 4, 4]), surface=Surface(color=(0.5,) * 3))],
         lamps=[Lamp(mesh=shapes.sphere([0, 5, 0], 0.1), radiance=(9,) * 3, around=True)],
-        space=(-np.ones(3), np.ones(3)), gaze=(-np.ones(3), np.ones(3)),
-    )  # fmt: skip
+        space=(-np.ones(3), np.ones(3)),
+        gaze=(-np.ones(3), np.ones(3)),
+    )
     with pytest.raises(InputError, match="scene solid has no open place for a camera"):
         find_path(stage_of(mi, world), np.random.default_rng(0), frames=2, move="still", speed=0.0)

@@ -58,9 +58,9 @@ def project(camera: Camera, point: np.ndarray) -> np.ndarray:
     """Pinhole projection, written out: x right, y down, pixels."""
     local = np.linalg.inv(camera.to_world) @ np.append(point, 1.0)
     focal = SIZE[1] / 2 / np.tan(np.radians(camera.fov_x) / 2)
-    return np.array([
-        SIZE[1] / 2 - focal * local[0] / local[2], SIZE[0] / 2 - focal * local[1] / local[2]
-    ])  # fmt: skip
+    return np.array(
+        [SIZE[1] / 2 - focal * local[0] / local[2], SIZE[0] / 2 - focal * local[1] / local[2]]
+    )
 
 
 def test_motion_of_a_still_floor_is_the_cameras(mi):
@@ -103,7 +103,9 @@ def test_background_does_not_move_with_a_camera_that_only_walks(mi):
     def walk(time):
         return Camera(to_world=translation([0.4 * time, 0, 0]) @ FRONT.to_world, fov_x=50)
 
-    frame, _ = render(mi, world_with([Piece(mesh=sphere([0, 0.6, 0], 0.3), surface=GREY)]), (), walk)
+    frame, _ = render(
+        mi, world_with([Piece(mesh=sphere([0, 0.6, 0], 0.3), surface=GREY)]), (), walk
+    )
     assert np.abs(frame["motion"][frame["depth"] == 0]).max() < 1e-3
     assert np.abs(frame["motion"][frame["depth"] > 0]).max() > 1
 
@@ -157,8 +159,10 @@ def test_motion_of_several_samples_is_their_mean(mi, spp):
     path = moving_camera
     frame = buffers.render_noisy(
         stage_of(mi, everything(), ("moving_object",), height=9, width=11),
-        moment(path, frame=2), spp=spp, seed=8,
-    )  # fmt: skip
+        moment(path, frame=2),
+        spp=spp,
+        seed=8,
+    )
     assert np.isfinite(frame["motion"]).all()
     hit = frame["depth"] > 0
     np.testing.assert_allclose(np.linalg.norm(frame["normal"][hit], axis=-1), 1, atol=1e-5)
@@ -171,9 +175,12 @@ def test_motion_takes_the_albedo_back_to_the_previous_frame(mi):
         return translation([0.15 * time, 0, 0]) @ rotation([0, 1, 0], 5 * time)
 
     world = world_with(
-        [Piece(mesh=quad([-9, 0, 9], [18, 0, 0], [0, 0, -18]), surface=GREY),
-         Piece(mesh=box([0, 0.6, 0], [1.4, 1.2, 1.0]), surface=WHITE, group="b")], moving={"b": pose},
-    )  # fmt: skip
+        [
+            Piece(mesh=quad([-9, 0, 9], [18, 0, 0], [0, 0, -18]), surface=GREY),
+            Piece(mesh=box([0, 0.6, 0], [1.4, 1.2, 1.0]), surface=WHITE, group="b"),
+        ],
+        moving={"b": pose},
+    )
     stage = stage_of(mi, world, ("moving_object",), height=SIZE[0], width=SIZE[1])
     previous, current = (
         buffers.render_noisy(stage, moment(moving_camera, frame=k), spp=1, seed=k) for k in (1, 2)
@@ -207,7 +214,9 @@ def test_camera_moves_are_smooth_seeded_and_as_fast_as_asked(move):
 
 
 def test_projection_puts_the_target_in_the_middle_and_right_to_the_right():
-    camera = Camera(to_world=look_at(np.array([0, 0, 5.0]), np.zeros(3), np.array([0, 1.0, 0])), fov_x=90)
+    camera = Camera(
+        to_world=look_at(np.array([0, 0, 5.0]), np.zeros(3), np.array([0, 1.0, 0])), fov_x=90
+    )
     x, y, z = camera.project(np.array([[0, 0, 0], [5, 0, 0], [0, 5, 0], [1, 1, 3]]), 100, 200)
     np.testing.assert_allclose(x, [100, 200, 100, 150], atol=1e-9)
     np.testing.assert_allclose(y, [50, 50, -50, 0], atol=1e-9)

@@ -101,10 +101,25 @@ def test_a_finished_sequence_is_not_touched(stage, rendered):
 
 
 def test_buffers_on_demand_are_written_only_on_demand(mi, rendered, tmp_path):
-    wants = replace(SMALL, frames=1, second_color=True, jitter=True, reference_scale=2,
-                    guides=("roughness", "specular_albedo"))  # fmt: skip
-    stage = stage_of(mi, everything(), ("mirror_glass", "glossy"), height=24, width=32,
-                     second_color=True, jitter=True, reference_scale=2, guides=wants.guides)  # fmt: skip
+    wants = replace(
+        SMALL,
+        frames=1,
+        second_color=True,
+        jitter=True,
+        reference_scale=2,
+        guides=("roughness", "specular_albedo"),
+    )
+    stage = stage_of(
+        mi,
+        everything(),
+        ("mirror_glass", "glossy"),
+        height=24,
+        width=32,
+        second_color=True,
+        jitter=True,
+        reference_scale=2,
+        guides=wants.guides,
+    )
     render_sequence(stage, tmp_path / "more", wants)
     more = set(read_channels(tmp_path / "more" / "frame_0000.exr"))
     plain = set(read_channels(rendered / "frame_0000.exr"))
@@ -117,8 +132,15 @@ def test_buffers_on_demand_are_written_only_on_demand(mi, rendered, tmp_path):
 
 
 def test_guides_tell_mirror_gloss_and_matte_apart(mi):
-    seen = noisy(mi, everything(), ("mirror_glass", "glossy"), spp=1, height=24, width=32,
-                 guides=("roughness", "specular_albedo"))  # fmt: skip
+    seen = noisy(
+        mi,
+        everything(),
+        ("mirror_glass", "glossy"),
+        spp=1,
+        height=24,
+        width=32,
+        guides=("roughness", "specular_albedo"),
+    )
     values = {round(float(value), 4) for value in np.unique(seen["roughness"])}
     assert values <= {0.0, 0.2, 1.0}
     assert {0.0, 1.0} <= values
@@ -141,7 +163,9 @@ def test_the_second_colour_is_independent_and_of_the_same_mean(mi, stage):
 
 def test_a_reference_of_twice_the_size_is_the_same_picture(mi):
     once = exact(mi, everything(), ("soft_shadow",), spp=256, height=8, width=10)
-    twice = exact(mi, everything(), ("soft_shadow",), spp=128, height=8, width=10, reference_scale=2)
+    twice = exact(
+        mi, everything(), ("soft_shadow",), spp=128, height=8, width=10, reference_scale=2
+    )
     pooled = twice.reshape(8, 2, 10, 2, 3).mean(axis=(1, 3))
     # what is left is the noise of hundreds of samples
     np.testing.assert_allclose(pooled, once, atol=0.35 * once.max())
@@ -181,7 +205,9 @@ def test_a_camera_inside_a_body_is_refused_and_one_outside_is_not(stage, tmp_pat
     with pytest.raises(InputError, match=r"origin must be in the open, got 0.9, 0.5, 0"):
         render_sequence(stage, tmp_path / "in", block)
     assert not (tmp_path / "in").exists()
-    render_sequence(stage, tmp_path / "out", replace(block, origin=(0.0, 1.0, 4.0), target=(0.0, 0.5, 0.0)))
+    render_sequence(
+        stage, tmp_path / "out", replace(block, origin=(0.0, 1.0, 4.0), target=(0.0, 0.5, 0.0))
+    )
     assert is_complete(tmp_path / "out")
 
 
@@ -189,7 +215,10 @@ def test_views_of_a_scene_differ_and_a_finished_job_renders_nothing(mi, tmp_path
     options = replace(SMALL, frames=1, height=8, width=9, reference_spp=1)
     job = Job(scene="tabletop", seed=2, views=2, effects=(), options=options)
     assert run_job(mi, job, tmp_path) == ["tabletop-0002-0", "tabletop-0002-1"]
-    cameras = [json.loads((tmp_path / f"tabletop-0002-{v}" / "sequence.json").read_text())["cameras"] for v in (0, 1)]
+    cameras = [
+        json.loads((tmp_path / f"tabletop-0002-{v}" / "sequence.json").read_text())["cameras"]
+        for v in (0, 1)
+    ]
     assert cameras[0] != cameras[1]
     assert run_job(mi, job, tmp_path) == []
 
@@ -203,9 +232,13 @@ def test_old_llvm_is_never_chosen(monkeypatch):
 
 @pytest.mark.parametrize(
     ("cuda", "library", "chosen"),
-    [(True, None, "cuda_ad_rgb"), (True, "x", "cuda_ad_rgb"), (False, "x", "llvm_ad_rgb"),
-     (False, None, "scalar_rgb")],
-)  # fmt: skip
+    [
+        (True, None, "cuda_ad_rgb"),
+        (True, "x", "cuda_ad_rgb"),
+        (False, "x", "llvm_ad_rgb"),
+        (False, None, "scalar_rgb"),
+    ],
+)
 def test_the_variant_follows_what_the_machine_has(mi, monkeypatch, cuda, library, chosen):
     import drjit
 
@@ -213,5 +246,3 @@ def test_the_variant_follows_what_the_machine_has(mi, monkeypatch, cuda, library
     name, why = variant._choose(library)
     assert name == chosen
     assert why
-
-

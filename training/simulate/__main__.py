@@ -93,7 +93,9 @@ def simulate(
 ) -> None:
     """Render noisy sequences, their features and references; resumes after a kill."""
     if (recipe is None) == (not scene):
-        raise InputError("one of scene and recipe must be given, got " + ("both" if scene else "none"))
+        raise InputError(
+            "one of scene and recipe must be given, got " + ("both" if scene else "none")
+        )
     if workers is not None and workers < 1:
         raise InputError(f"workers must be 1 or more, got {workers}")
     if count < 1:
@@ -109,7 +111,13 @@ def simulate(
         )  # fmt: skip
         # seed by seed through all scenes: a run that is stopped early still holds every scene
         jobs = [
-            Job(scene=name, seed=seed + index, views=views, effects=_effects(effects), options=options)
+            Job(
+                scene=name,
+                seed=seed + index,
+                views=views,
+                effects=_effects(effects),
+                options=options,
+            )
             for index in range(count)
             for name in scene or ()
         ]

@@ -92,9 +92,7 @@ def render_reference(stage: Stage, moment: Moment, *, spp: int, seed: int) -> np
     return np.asarray(total, np.float32)
 
 
-def shutter_times(
-    frame: int, shutter: float, strata: int, rng: np.random.Generator
-) -> np.ndarray:
+def shutter_times(frame: int, shutter: float, strata: int, rng: np.random.Generator) -> np.ndarray:
     """One random time in each stratum of the open shutter, which is centred on the frame."""
     if not shutter:
         return np.array([float(frame)])
@@ -148,7 +146,9 @@ def _resolve(samples: Samples, height: int, width: int, spp: int) -> dict[str, n
         "depth": mean("depth") / hits,
         "motion": mean("motion"),
     }
-    layers.update({name: mean(name) for name in ("roughness", "specular_albedo") if name in samples})
+    layers.update(
+        {name: mean(name) for name in ("roughness", "specular_albedo") if name in samples}
+    )
     return {
         name: np.asarray(values, np.float32).reshape(height, width, *values.shape[1:])
         for name, values in layers.items()

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 
-
 @dataclass(frozen=True, kw_only=True)
 class Camera:
     """Where the camera is and how wide it sees."""

@@ -11,7 +11,9 @@ from stillray.training.simulate.plan import OPTION, Plan
 
 def explain(plan: Plan) -> RenderableType:
     """Tables of effects, plugins, sample dimensions and buffers."""
-    parts: list[RenderableType] = [f"{plan.world.label}: effects {', '.join(plan.effects) or 'none'}"]
+    parts: list[RenderableType] = [
+        f"{plan.world.label}: effects {', '.join(plan.effects) or 'none'}"
+    ]
     left_out = [name for name in EFFECTS if name not in plan.effects]
     parts.append(f"not simulated: {', '.join(left_out) or 'nothing'}")
     depth = " + ".join(f"{bounces} ({who})" for bounces, who in plan.depth)

@@ -28,7 +28,9 @@ def default_workers(jobs: int) -> int:
         return 1
     import psutil
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
     memory = int(psutil.virtual_memory().available // _WORKER_MEMORY)
     return max(1, min(cores, memory, jobs))
 
@@ -134,12 +136,14 @@ def _client(workers: int, scheduler: str | None) -> Iterator[tuple[Any, int]]:
         with client:
             yield client, 0
         return
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
     # memory limits off: a worker that Dask kills for its memory would only start over
     with (
         LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, memory_limit=0,
-            dashboard_address=None,
+            dashboard_address=":0",
         ) as cluster,
         Client(cluster) as client,
     ):  # fmt: skip

@@ -4,7 +4,7 @@ is not rendered again."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ class Job:
     views: int = 1  # sequences, each from another camera, 1 to 64
     effects: tuple[str, ...] | None = None  # exactly these; None: what the scene calls for
     also: tuple[str, ...] = ()  # on top of those, where the scene can show them
-    options: SequenceOptions = SequenceOptions()
+    options: SequenceOptions = field(default_factory=SequenceOptions)
 
     def __post_init__(self) -> None:
         if self.seed < 0:

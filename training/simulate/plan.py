@@ -94,7 +94,9 @@ class Plan:
         return +counts
 
 
-def make_plan(world: World, effects: Iterable[str] | None = None, wants: Wants | None = None) -> Plan:
+def make_plan(
+    world: World, effects: Iterable[str] | None = None, wants: Wants | None = None
+) -> Plan:
     """Decide what is simulated.
 
     Parameters
@@ -249,5 +251,3 @@ def _buffers(world: World, effects: list[Effect], wants: Wants) -> list[Buffer]:
         buffers.append(Buffer(name="color_b", channels=3, asked_by=OPTION))
     buffers += [Buffer(name=name, channels=GUIDES[name], asked_by=OPTION) for name in wants.guides]
     return buffers
-
-

@@ -43,7 +43,9 @@ def read_recipe(path: Path) -> list[Job]:
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(f"recipe must be a readable TOML file, got {path}: {error.strerror}") from None
+        raise InputError(
+            f"recipe must be a readable TOML file, got {path}: {error.strerror}"
+        ) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"recipe must be TOML, got {path}: {error}") from None
     _no_others(content, {"options", "sequences"}, str(path))
@@ -92,7 +94,9 @@ def _whole(entry: dict[str, Any], name: str, default: int, where: str) -> int:
     value = entry.get(name, default)
     least = 0 if name == "first_seed" else 1
     if not isinstance(value, int) or isinstance(value, bool) or value < least:
-        raise InputError(f"{where}: {name} must be a whole number of {least} or more, got {value!r}")
+        raise InputError(
+            f"{where}: {name} must be a whole number of {least} or more, got {value!r}"
+        )
     return value
 
 

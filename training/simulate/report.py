@@ -105,14 +105,27 @@ def _page(records: list[dict[str, Any]], brightness: list[float], motion: list[f
         _bars("effect", [(name, effects[name]) for name in EFFECTS]),
         _bars("scene", scenes.most_common()),
         _bars("camera move", moves.most_common()),
-        _bars("median radiance, 2^", [(f"{e:.0f}", int(n)) for e, n in zip(light_edges, light, strict=False)]),
-        _bars("median motion, pixels a frame",
-              [(f"{low:g} to {high:g}", int(n))
-               for low, high, n in zip(motion_edges[:-1], motion_edges[1:], shift, strict=True)]),
+        _bars(
+            "median radiance, 2^",
+            [(f"{e:.0f}", int(n)) for e, n in zip(light_edges, light, strict=False)],
+        ),
+        _bars(
+            "median motion, pixels a frame",
+            [
+                (f"{low:g} to {high:g}", int(n))
+                for low, high, n in zip(motion_edges[:-1], motion_edges[1:], shift, strict=True)
+            ],
+        ),
         f'<p>Last reference of each, exposed for its median.</p><img src="{CONTACT}">',
-    ]  # fmt: skip
-    style = "body{font:15px sans-serif;margin:2em}td{padding:0 .8em 0 0}hr{border:0;height:.7em;background:#579;margin:0}"
-    return f"<!doctype html><meta charset=utf-8><title>sequences</title><style>{style}</style>" + "".join(parts)
+    ]
+    style = (
+        "body{font:15px sans-serif;margin:2em}td{padding:0 .8em 0 0}"
+        "hr{border:0;height:.7em;background:#579;margin:0}"
+    )
+    return (
+        f"<!doctype html><meta charset=utf-8><title>sequences</title><style>{style}</style>"
+        + "".join(parts)
+    )
 
 
 def _bars(title: str, rows: list[tuple[str, int]]) -> str:

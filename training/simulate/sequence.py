@@ -150,8 +150,10 @@ def render_sequence(
         return
     rng = np.random.default_rng([options.seed, 77])
     move = options.move or str(rng.choice(MOVES, p=_MOVE_ODDS))
-    speed = options.speed if options.move else options.speed * float(
-        rng.choice(_SPEEDS[0], p=_SPEEDS[1])
+    speed = (
+        options.speed
+        if options.move
+        else options.speed * float(rng.choice(_SPEEDS[0], p=_SPEEDS[1]))
     )
     path, distance = _path(stage, rng, options, move, speed)
     focus = stage.plan.world.lens.focus * distance
@@ -207,15 +209,11 @@ def _render_frame(
     if not target.is_file():
         layers = buffers.render_noisy(stage, moment, spp=options.spp, seed=noisy)
         if options.second_color:
-            layers["color_b"] = buffers.render_second(
-                stage, moment, spp=options.spp, seed=second
-            )
+            layers["color_b"] = buffers.render_second(stage, moment, spp=options.spp, seed=second)
         write(target, layers)
     target = folder / f"ref_{moment.frame:04d}.exr"
     if moment.frame >= options.frames - options.references and not target.is_file():
-        reference = buffers.render_reference(
-            stage, moment, spp=options.reference_spp, seed=exact
-        )
+        reference = buffers.render_reference(stage, moment, spp=options.reference_spp, seed=exact)
         write(target, {"color": reference})
 
 

@@ -249,4 +249,3 @@ def _file_alpha(mi: Any, bsdf: Any) -> float:
 
 def _flat(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(values, np.float32).ravel()
-

@@ -67,7 +67,8 @@ def load_mitsuba(variant: str | None = None) -> tuple[Any, str]:
         raise InputError(f"variant must be of {', '.join(mi.variants())}, got {variant}")
     elif variant.startswith("llvm") and not library:
         raise InputError(
-            f"variant {variant} needs LLVM {MIN_LLVM_MAJOR} or later (Debian: libllvm19), found none"
+            f"variant {variant} needs LLVM {MIN_LLVM_MAJOR} or later (Debian: libllvm19), "
+            "found none"
         )
     else:
         reason = "as asked"

@@ -194,9 +194,7 @@ def require_open(stage: Stage, path: CameraPath, frames: int) -> float:
     stage.pose(0.0)
     view = look(stage, [camera])[0]
     if inside(stage, camera, view.middle) or view.backs > 0.5:
-        raise InputError(
-            f"origin must be in the open, got {origin}: inside or behind geometry"
-        )
+        raise InputError(f"origin must be in the open, got {origin}: inside or behind geometry")
     if view.hits == 0:
         raise InputError(f"target must lie in the scene, got a view from {origin} on nothing")
     if not is_open(stage, path, frames):

@@ -51,7 +51,7 @@ def open_xml(mi: Any, path: Path, seed: int) -> World:
     for node in state.nodes:
         plugin = node.props.plugin_name()
         counts[plugin] += plugin not in _NOT_OURS
-        named = node.props["filename"] if "filename" in node.props else None
+        named = node.props.get("filename", None)
         if named and not (path.parent / str(named)).is_file():
             raise InputError(f"{path}: names a file that is missing: {named}")
     shows = tuple(

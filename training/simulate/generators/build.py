@@ -12,12 +12,20 @@ from stillray.training.simulate.textures import Texture
 from stillray.training.simulate.world import Color, Lamp, Piece, Surface
 
 _WOODS: tuple[Color, ...] = (
-    (0.5, 0.33, 0.18), (0.2, 0.11, 0.06), (0.62, 0.47, 0.3), (0.34, 0.17, 0.08), (0.05, 0.04, 0.035),
+    (0.5, 0.33, 0.18),
+    (0.2, 0.11, 0.06),
+    (0.62, 0.47, 0.3),
+    (0.34, 0.17, 0.08),
+    (0.05, 0.04, 0.035),
     (0.75, 0.7, 0.62),
-)  # fmt: skip
+)
 _METALS: tuple[Color, ...] = (
-    (0.9, 0.9, 0.88), (0.95, 0.76, 0.4), (0.93, 0.6, 0.45), (0.55, 0.55, 0.57), (0.25, 0.25, 0.26),
-)  # fmt: skip
+    (0.9, 0.9, 0.88),
+    (0.95, 0.76, 0.4),
+    (0.93, 0.6, 0.45),
+    (0.55, 0.55, 0.57),
+    (0.25, 0.25, 0.26),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +124,9 @@ class Builder:
     def stone(self, *, gloss: float = 0.5) -> Surface:
         """Marble, terrazzo, tiles, plaster."""
         low, high = self.color(light=self.between(0.1, 0.5)), self.color(light=0.75)
-        kind = self.pick("marble", "terrazzo", "tiles", "noise", "checker", p=[0.2, 0.2, 0.35, 0.15, 0.1])
+        kind = self.pick(
+            "marble", "terrazzo", "tiles", "noise", "checker", p=[0.2, 0.2, 0.35, 0.15, 0.1]
+        )
         rough = self.between(0.03, 0.25) if self.chance(gloss) else None
         picture = self.texture(kind, low, high, self.between(0.8, 2.5))
         return Surface(color=_middle(low, high), texture=picture, roughness=rough)
@@ -137,7 +147,9 @@ class Builder:
         if self.chance(0.35):
             kind = self.pick("noise", "stripes", "brick", "weave", p=[0.4, 0.25, 0.25, 0.1])
             other = tuple(np.array(color) * self.between(0.5, 0.85))
-            return Surface(color=color, texture=self.texture(kind, other, color, self.between(0.8, 2)))
+            return Surface(
+                color=color, texture=self.texture(kind, other, color, self.between(0.8, 2))
+            )
         return Surface(color=color)
 
     def printed(self, size: float, *, kind: str = "painting") -> Surface:

@@ -62,14 +62,24 @@ def corridor(seed: int) -> World:
         for k in range(int(b.rng.integers(1, 5))):
             at = [-x + 0.1 + 0.09 * k, y - 0.12]
             line = np.array([[*at, -z], [*at, 0], [*at, z]])
-            b.add(tube(line, b.between(0.015, 0.04), sides=12), b.metal() if b.chance(0.5) else b.plain())
+            b.add(
+                tube(line, b.between(0.015, 0.04), sides=12),
+                b.metal() if b.chance(0.5) else b.plain(),
+            )
     _lights(b, size)
     sky, sun, day = daylight(b, sides)
     return finish(
-        b, "corridor", sky=sky, sun=sun, daylight=day,
-        space=(np.array([-x + 0.35, 0.7, -z + 1.0]), np.array([x - 0.35, min(y - 0.4, 2.1), z - 0.3])),
+        b,
+        "corridor",
+        sky=sky,
+        sun=sun,
+        daylight=day,
+        space=(
+            np.array([-x + 0.35, 0.7, -z + 1.0]),
+            np.array([x - 0.35, min(y - 0.4, 2.1), z - 0.3]),
+        ),
         gaze=(np.array([-x, 0.4, -z]), np.array([x, 1.8, z])),
-    )  # fmt: skip
+    )
 
 
 def _side(b: Builder, at: np.ndarray) -> None:
@@ -103,5 +113,8 @@ def _lights(b: Builder, size: np.ndarray) -> None:
             lamps.spots(b, lift(0, y, s), size[0] * 0.6, b.between(10, 40))
     if style == "fairy":
         for side in (-0.4, 0.4):
-            start, end = np.array([side * size[0], y - 0.2, -z]), np.array([side * size[0], y - 0.2, z])
+            start, end = (
+                np.array([side * size[0], y - 0.2, -z]),
+                np.array([side * size[0], y - 0.2, z]),
+            )
             lamps.fairy_lights(b, start, end, b.between(20, 80))

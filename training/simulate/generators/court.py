@@ -40,7 +40,12 @@ def court(seed: int) -> World:
         for hole in side.holes:
             le, bo, r, t = hole
             window(b, side, hole, panes=False)
-            b.block([(le + r) / 2, (bo + t) / 2, -0.35], [r - le + 0.1, t - bo + 0.1, 0.1], dark, at=side.frame)
+            b.block(
+                [(le + r) / 2, (bo + t) / 2, -0.35],
+                [r - le + 0.1, t - bo + 0.1, 0.1],
+                dark,
+                at=side.frame,
+            )
         if side.clear(0.2, 1.4, 0, 2.2):
             door(b, side, 0.8)
         if b.chance(0.4):
@@ -61,7 +66,10 @@ def court(seed: int) -> World:
     for _ in range(int(b.rng.integers(0, 3))):
         a, c = b.rng.uniform([-x, 3, -z], [x, 4, z]), b.rng.uniform([-x, 3, -z], [x, 4, z])
         t = np.linspace(0, 1, 20)[:, None]
-        b.add(tube(a + (c - a) * t - [0, 0.4, 0] * np.sin(np.pi * t), 0.008, sides=6), b.plain((0.03,) * 3))
+        b.add(
+            tube(a + (c - a) * t - [0, 0.4, 0] * np.sin(np.pi * t), 0.008, sides=6),
+            b.plain((0.03,) * 3),
+        )
     if b.chance(0.25):
         lamps.fairy_lights(b, np.array([-x, 3.0, 0]), np.array([x, 3.0, 0]), 60)
     kind = b.pick("clear", "cloudy", "dusk", "night", p=[0.5, 0.25, 0.15, 0.1])
@@ -75,10 +83,14 @@ def court(seed: int) -> World:
     for _ in range(int(b.rng.integers(1, 4))):
         _post(b, lift(*b.rng.uniform([-x, 0, -z], [x, 0, z]) * [0.9, 0, 0.9]))
     return finish(
-        b, "court", sky=sky, sun=sun, daylight=True,
+        b,
+        "court",
+        sky=sky,
+        sun=sun,
+        daylight=True,
         space=(np.array([-x + 0.5, 0.8, -z + 0.5]), np.array([x - 0.5, 2.6, z - 0.5])),
         gaze=(np.array([-x, 0.3, -z]), np.array([x, 2.5, z])),
-    )  # fmt: skip
+    )
 
 
 def _ground(b: Builder) -> None:
@@ -86,7 +98,10 @@ def _ground(b: Builder) -> None:
     relief = relief - relief.max()
     surface = b.stone(gloss=0.2)
     if b.chance(0.35):
-        surface = Surface(color=(0.12, 0.2, 0.05), texture=b.texture("noise", (0.05, 0.1, 0.02), (0.2, 0.3, 0.08), 1.5))
+        surface = Surface(
+            color=(0.12, 0.2, 0.05),
+            texture=b.texture("noise", (0.05, 0.1, 0.02), (0.2, 0.3, 0.08), 1.5),
+        )
     lay = lift(-15, 0, 15) @ rotation([1, 0, 0], -90)
     b.add(sheet(relief, 30, 30), surface, at=lay)
     if b.chance(0.3):  # after rain
@@ -104,7 +119,9 @@ def _stand(b: Builder, at: np.ndarray) -> None:
         boards = [box([0, 0.45, 0.1 * i], [1.6, 0.03, 0.08]) for i in range(4)]
         boards += [box([0, 0.6 + 0.13 * i, -0.06 - 0.03 * i], [1.6, 0.09, 0.025]) for i in range(3)]
         b.add(join(boards), b.wood(), at=at)
-        b.add(join([box([s, 0.22, 0.15], [0.06, 0.44, 0.4]) for s in (-0.6, 0.6)]), b.metal(), at=at)
+        b.add(
+            join([box([s, 0.22, 0.15], [0.06, 0.44, 0.4]) for s in (-0.6, 0.6)]), b.metal(), at=at
+        )
     elif kind == "table":
         furniture.table(b, at, 0.9, 0.9, 0.74, int(b.rng.integers(2, 6)))
         for turn in (0, 90, 180, 270):
@@ -117,7 +134,9 @@ def _stand(b: Builder, at: np.ndarray) -> None:
         for _ in range(int(b.rng.integers(1, 4))):
             s = b.between(0.3, 0.6)
             group = b.can_move(f"crate{len(b.spots)}", at, "floor")
-            b.block([b.between(-0.1, 0.1), y + s / 2, 0], [s * 1.3, s, s], b.wood(), at=at, group=group)
+            b.block(
+                [b.between(-0.1, 0.1), y + s / 2, 0], [s * 1.3, s, s], b.wood(), at=at, group=group
+            )
             y += s
     elif kind == "bollards":
         b.add(join([cylinder([0.8 * i, 0, 0], 0.07, 0.8) for i in range(3)]), b.metal(), at=at)
@@ -127,7 +146,10 @@ def _stand(b: Builder, at: np.ndarray) -> None:
 
 def _fence(b: Builder, x: float, z: float) -> None:
     side = b.between(-0.6, 0.6) * z
-    bars = [tube([[s, 0, side], [s, 0.6, side], [s, 1.2, side]], 0.012, sides=6) for s in np.arange(-x, x, 0.13)]
+    bars = [
+        tube([[s, 0, side], [s, 0.6, side], [s, 1.2, side]], 0.012, sides=6)
+        for s in np.arange(-x, x, 0.13)
+    ]
     bars += [tube([[-x, y, side], [0, y, side], [x, y, side]], 0.02, sides=6) for y in (0.15, 1.1)]
     # an open gate in the middle
     keep = [bar for bar in bars[:-2] if abs(bar.vertices[:, 0].mean()) > 0.8]
@@ -140,5 +162,9 @@ def _post(b: Builder, at: np.ndarray) -> None:
     from stillray.training.simulate.mesh import sphere
 
     r = 0.14
-    b.shine(sphere([0, h + r, 0], r, rings=12), b.light_color(b.between(10, 80) / (4 * np.pi**2 * r * r)),
-            at=at, around=True)  # fmt: skip
+    b.shine(
+        sphere([0, h + r, 0], r, rings=12),
+        b.light_color(b.between(10, 80) / (4 * np.pi**2 * r * r)),
+        at=at,
+        around=True,
+    )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from stillray.training.simulate.generators.build import Builder, lift
@@ -46,8 +48,13 @@ def table(
                 rods.append(_leg(b, np.array(foot), np.array(head)))
         b.add(join(rods), legs, at=at, group=group)
         if b.chance(0.5):
-            apron = [box([0, height - thick - 0.04, z * (depth / 2 - inset)],
-                         [width - 2 * inset, 0.07, 0.015]) for z in (-1, 1)]  # fmt: skip
+            apron = [
+                box(
+                    [0, height - thick - 0.04, z * (depth / 2 - inset)],
+                    [width - 2 * inset, 0.07, 0.015],
+                )
+                for z in (-1, 1)
+            ]
             b.add(join(apron), wood, at=at, group=group)
     if clutter and b.chance(0.2):
         cloth = sheet(0.002 * b.rng.random((8, 24)), width * 0.5, depth * 0.9)
@@ -77,11 +84,15 @@ def chair(b: Builder, at: np.ndarray) -> None:
     style = b.pick("bars", "slats", "panel")
     if style == "bars":
         for x in np.linspace(-w / 2, w / 2, int(b.rng.integers(4, 9)))[1:-1]:
-            rods.append(tube([[x, seat, 0], [x, (seat + back) / 2, -0.03], [x, back, -0.06]], 0.5 * r))
+            rods.append(
+                tube([[x, seat, 0], [x, (seat + back) / 2, -0.03], [x, back, -0.06]], 0.5 * r)
+            )
     b.add(join(rods), frame, at=at, group=group)
     boards = [box([0, back - 0.02, -0.055], [w, 0.05, 0.016])]
     if style == "slats":
-        boards += [box([0, y, -0.03], [w, 0.03, 0.012]) for y in np.arange(seat + 0.1, back - 0.05, 0.09)]
+        boards += [
+            box([0, y, -0.03], [w, 0.03, 0.012]) for y in np.arange(seat + 0.1, back - 0.05, 0.09)
+        ]
     if style == "panel":
         boards.append(box([0, (seat + back) / 2 + 0.05, -0.04], [w, (back - seat) * 0.6, 0.016]))
     b.add(join(boards), frame if style != "panel" else soft, at=at, group=group)
@@ -104,12 +115,20 @@ def sofa(b: Builder, at: np.ndarray, width: float) -> None:
     each = (width - 2 * arm) / count
     for i in range(count):
         x = -width / 2 + arm + (i + 0.5) * each
-        b.add(_cushion([each - 0.02, 0.16, d - 0.25]), cloth, at=at @ lift(x, seat - 0.02, d / 2 + 0.1),
-              group=group)  # fmt: skip
+        b.add(
+            _cushion([each - 0.02, 0.16, d - 0.25]),
+            cloth,
+            at=at @ lift(x, seat - 0.02, d / 2 + 0.1),
+            group=group,
+        )
     for _ in range(int(b.rng.integers(0, 4))):
         place = lift(b.between(-0.4, 0.4) * width, seat + 0.22, 0.3) @ rotation([1, 0, 0], -65)
         b.add(_cushion([0.4, 0.14, 0.38]), b.fabric(), at=at @ place, group=group)
-    feet = [cylinder([x * (width / 2 - 0.08), 0, z], 0.02, 0.1, segments=8) for x in (-1, 1) for z in (0.08, d - 0.08)]
+    feet = [
+        cylinder([x * (width / 2 - 0.08), 0, z], 0.02, 0.1, segments=8)
+        for x in (-1, 1)
+        for z in (0.08, d - 0.08)
+    ]
     b.add(join(feet), b.wood(), at=at, group=group)
 
 
@@ -129,12 +148,21 @@ def bed(b: Builder, at: np.ndarray, width: float) -> None:
     """A bed with head board, mattress, blanket and pillows."""
     long = 2.0
     b.block([0, 0.17, long / 2], [width, 0.2, long], b.wood(), at=at)
-    b.block([0, b.between(0.4, 0.6), 0.03], [width, b.between(0.7, 1.0), 0.06], b.wood() if b.chance(0.6) else b.fabric(), at=at)
-    b.add(_cushion([width - 0.04, 0.28, long - 0.08]), b.fabric(), at=at @ lift(0, 0.36, long / 2 + 0.03))
+    b.block(
+        [0, b.between(0.4, 0.6), 0.03],
+        [width, b.between(0.7, 1.0), 0.06],
+        b.wood() if b.chance(0.6) else b.fabric(),
+        at=at,
+    )
+    b.add(
+        _cushion([width - 0.04, 0.28, long - 0.08]),
+        b.fabric(),
+        at=at @ lift(0, 0.36, long / 2 + 0.03),
+    )
     waves = 0.015 * np.sin(np.linspace(0, 25, 30))[None] + 0.012 * b.rng.random((24, 30))
     lay = at @ lift(-width / 2 - 0.02, 0.515, long) @ rotation([1, 0, 0], -90)
     b.add(sheet(waves, width + 0.04, long * 0.7), b.fabric(two_sided=True), at=lay)
-    for x in ([0.0] if width < 1.2 else [-width / 4, width / 4]):
+    for x in [0.0] if width < 1.2 else [-width / 4, width / 4]:
         b.add(_cushion([0.6, 0.16, 0.4]), b.fabric(), at=at @ lift(x, 0.57, 0.32))
 
 
@@ -142,13 +170,15 @@ def shelf(b: Builder, at: np.ndarray, width: float, height: float) -> None:
     """An open shelf full of books and things."""
     depth, thick = b.between(0.24, 0.34), b.between(0.015, 0.03)
     wood = b.wood(second=b.chance(0.3))
-    sides = [box([x, height / 2, depth / 2], [thick, height, depth]) for x in (-width / 2, width / 2)]
+    sides = [
+        box([x, height / 2, depth / 2], [thick, height, depth]) for x in (-width / 2, width / 2)
+    ]
     levels = np.linspace(0.06, height - thick, max(2, int(height / b.between(0.3, 0.42))))
     boards = [box([0, y, depth / 2], [width, thick, depth]) for y in levels]
     if b.chance(0.6):
         boards.append(box([0, height / 2, 0.004], [width, height, 0.008]))
     b.add(join(sides + boards), wood, at=at)
-    for low, high in zip(levels[:-1], levels[1:], strict=True):
+    for low, high in pairwise(levels):
         start = at @ lift(-width / 2 + thick, low + thick / 2, 0.015)
         if b.chance(0.75):
             row_of_books(b, start, width - 2 * thick, high - low - thick, depth)
@@ -157,7 +187,9 @@ def shelf(b: Builder, at: np.ndarray, width: float, height: float) -> None:
             things(b, middle, width * 0.9, 0.1, int(b.rng.integers(1, 5)))
 
 
-def cabinet(b: Builder, at: np.ndarray, width: float, height: float, depth: float, *, clutter: int = 0) -> None:
+def cabinet(
+    b: Builder, at: np.ndarray, width: float, height: float, depth: float, *, clutter: int = 0
+) -> None:
     """Doors and drawers with handles; clutter stands on top."""
     body = b.wood(second=b.chance(0.5)) if b.chance(0.6) else b.plain(gloss=0.5)
     handle = b.metal()
@@ -172,8 +204,14 @@ def cabinet(b: Builder, at: np.ndarray, width: float, height: float, depth: floa
             fronts.append(box([x, y, depth + 0.009], [w - 0.008, h - 0.008, 0.018]))
             if b.chance(0.7):
                 tall = rows == 1
-                ends = [[x + (w / 2 - 0.05 if tall else -0.06), y - (0.06 if tall else 0), depth + 0.04],
-                        [x + (w / 2 - 0.05 if tall else 0.06), y + (0.06 if tall else 0), depth + 0.04]]  # fmt: skip
+                ends = [
+                    [
+                        x + (w / 2 - 0.05 if tall else -0.06),
+                        y - (0.06 if tall else 0),
+                        depth + 0.04,
+                    ],
+                    [x + (w / 2 - 0.05 if tall else 0.06), y + (0.06 if tall else 0), depth + 0.04],
+                ]
                 handles.append(tube(ends, 0.006, sides=6))
             else:
                 handles.append(sphere([x + w / 2 - 0.06, y, depth + 0.03], 0.014, rings=8))
@@ -193,7 +231,9 @@ def counter(b: Builder, at: np.ndarray, width: float) -> None:
     back = replace(b.plain(b.color(light=0.7), gloss=0.8), texture=tiles)
     b.add(quad([-width / 2, 0.9, 0.004], [width, 0, 0], [0, 0.55, 0]), back, at=at)
     x = b.between(-0.3, 0.3) * width
-    tap = np.array([[x, 0.9, 0.1], [x, 1.12, 0.1], [x, 1.2, 0.16], [x, 1.18, 0.27], [x, 1.12, 0.28]])
+    tap = np.array(
+        [[x, 0.9, 0.1], [x, 1.12, 0.1], [x, 1.2, 0.16], [x, 1.18, 0.27], [x, 1.12, 0.28]]
+    )
     b.add(tube(tap, 0.013, sides=10), b.metal(0.06), at=at)
     b.block([x, 0.903, 0.34], [0.5, 0.006, 0.4], b.metal(0.15), at=at)
     things(b, at @ lift(0, 0.9, 0.32), width, 0.4, int(b.rng.integers(3, 9)))
@@ -205,12 +245,17 @@ def counter(b: Builder, at: np.ndarray, width: float) -> None:
             things(b, at @ lift(0, y + 0.013, 0.12), width * 0.7, 0.12, int(b.rng.integers(2, 7)))
     if b.chance(0.4):
         rail = at @ lift(-width / 3, 1.36, 0.05)
-        b.add(tube([[0, 0, 0], [width / 3, 0, 0], [2 * width / 3, 0, 0]], 0.006), b.metal(), at=rail)
+        b.add(
+            tube([[0, 0, 0], [width / 3, 0, 0], [2 * width / 3, 0, 0]], 0.006), b.metal(), at=rail
+        )
         for s in np.linspace(0.05, 2 * width / 3 - 0.05, int(b.rng.integers(3, 7))):
             hang = tube([[s, -0.01, 0], [s, -0.12, 0], [s, -0.2, 0]], 0.005, sides=6)
             b.add(hang, b.metal(), at=rail)
-            b.add(lathe([(0, 0), (0.05, 0.01), (0.055, 0.03), (0.05, 0.012), (0, 0.004)]), b.metal(),
-                  at=rail @ lift(s, -0.26, 0) @ rotation([1, 0, 0], 90))  # fmt: skip
+            b.add(
+                lathe([(0, 0), (0.05, 0.01), (0.055, 0.03), (0.05, 0.012), (0, 0.004)]),
+                b.metal(),
+                at=rail @ lift(s, -0.26, 0) @ rotation([1, 0, 0], 90),
+            )
 
 
 def bath(b: Builder, at: np.ndarray, width: float) -> None:
@@ -218,10 +263,12 @@ def bath(b: Builder, at: np.ndarray, width: float) -> None:
     d, h = 0.75, 0.56
     white = b.plain(b.color(light=0.78), gloss=1.0)
     rim = [
-        box([0, h / 2, 0.03], [width, h, 0.06]), box([0, h / 2, d - 0.03], [width, h, 0.06]),
-        box([-width / 2 + 0.03, h / 2, d / 2], [0.06, h, d]), box([width / 2 - 0.03, h / 2, d / 2], [0.06, h, d]),
+        box([0, h / 2, 0.03], [width, h, 0.06]),
+        box([0, h / 2, d - 0.03], [width, h, 0.06]),
+        box([-width / 2 + 0.03, h / 2, d / 2], [0.06, h, d]),
+        box([width / 2 - 0.03, h / 2, d / 2], [0.06, h, d]),
         box([0, 0.1, d / 2], [width, 0.1, d]),
-    ]  # fmt: skip
+    ]
     b.add(join(rim), white, at=at)
     tap = np.array([[0, 0, 0], [0, 0.12, 0], [0, 0.16, 0.05], [0, 0.15, 0.12]])
     b.add(tube(tap, 0.014), b.metal(0.05), at=at @ lift(-width / 2 + 0.2, h, 0.05))
@@ -256,8 +303,17 @@ def mirror(b: Builder, at: np.ndarray, width: float, height: float) -> None:
 
 def picture(b: Builder, at: np.ndarray, width: float, height: float) -> None:
     """A framed picture whose middle is at the origin."""
-    b.block([0, 0, 0.01], [width + 0.05, height + 0.05, 0.02], b.wood() if b.chance(0.6) else b.metal(), at=at)
-    b.add(quad([-width / 2, -height / 2, 0.022], [width, 0, 0], [0, height, 0]), b.printed(max(width, height)), at=at)
+    b.block(
+        [0, 0, 0.01],
+        [width + 0.05, height + 0.05, 0.02],
+        b.wood() if b.chance(0.6) else b.metal(),
+        at=at,
+    )
+    b.add(
+        quad([-width / 2, -height / 2, 0.022], [width, 0, 0], [0, height, 0]),
+        b.printed(max(width, height)),
+        at=at,
+    )
 
 
 def towel(b: Builder, at: np.ndarray) -> None:
@@ -286,10 +342,17 @@ def stairs(b: Builder, at: np.ndarray, width: float, height: float) -> None:
     rail, bars = b.wood(second=True), b.metal()
     for x in (-width / 2 + 0.04, width / 2 - 0.04):
         posts = [
-            tube([[x, (i + 1) * rise, -(i + 0.5) * run], [x, (i + 1) * rise + 0.45, -(i + 0.5) * run],
-                  [x, (i + 1) * rise + 0.9, -(i + 0.5) * run]], 0.011, sides=6)
+            tube(
+                [
+                    [x, (i + 1) * rise, -(i + 0.5) * run],
+                    [x, (i + 1) * rise + 0.45, -(i + 0.5) * run],
+                    [x, (i + 1) * rise + 0.9, -(i + 0.5) * run],
+                ],
+                0.011,
+                sides=6,
+            )
             for i in range(count)
-        ]  # fmt: skip
+        ]
         b.add(join(posts), bars, at=at)
         ends = np.array([[x, rise + 0.9, -0.5 * run], [x, height + 0.9, -(count - 0.5) * run]])
         b.add(tube([ends[0], ends.mean(axis=0), ends[1]], 0.028, sides=10), rail, at=at)

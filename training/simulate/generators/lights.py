@@ -41,7 +41,9 @@ def sunlight(b: Builder, from_side: np.ndarray, *, spread: float) -> Sun:
     """A sun that stands within ``spread`` degrees of the direction ``from_side``."""
     azimuth = np.arctan2(from_side[2], from_side[0]) + np.radians(b.between(-spread, spread))
     height = np.radians(b.between(12, 55))
-    direction = -np.array([np.cos(azimuth) * np.cos(height), np.sin(height), np.sin(azimuth) * np.cos(height)])
+    direction = -np.array(
+        [np.cos(azimuth) * np.cos(height), np.sin(height), np.sin(azimuth) * np.cos(height)]
+    )
     warm = np.array([1.0, 0.75 + 0.2 * np.sin(height), 0.4 + 0.5 * np.sin(height)])
     strength = b.between(15, 80) * warm / warm.mean()
     return Sun(

@@ -12,7 +12,14 @@ from stillray.training.simulate.world import Surface
 def plant(b: Builder, at: np.ndarray, height: float, group: str = "") -> None:
     """A plant in a pot, ``height`` metres of leaves above it."""
     r = height * b.between(0.15, 0.3)
-    profile = [(0, 0), (0.75 * r, 0), (r, 1.4 * r), (0.92 * r, 1.4 * r), (0.9 * r, 1.2 * r), (0, 1.2 * r)]
+    profile = [
+        (0, 0),
+        (0.75 * r, 0),
+        (r, 1.4 * r),
+        (0.92 * r, 1.4 * r),
+        (0.9 * r, 1.2 * r),
+        (0, 1.2 * r),
+    ]
     b.add(lathe(profile), b.plain(gloss=0.4), at=at, group=group)
     top = at @ lift(0, 1.2 * r, 0)
     style = b.pick("bush", "blades", "palm")
@@ -20,7 +27,8 @@ def plant(b: Builder, at: np.ndarray, height: float, group: str = "") -> None:
     stem = Surface(color=(0.12, 0.1, 0.05))
     if style == "blades":
         blades = [
-            _blade(b, height * b.between(0.6, 1.1), height * 0.04) for _ in range(b.rng.integers(8, 20))
+            _blade(b, height * b.between(0.6, 1.1), height * 0.04)
+            for _ in range(b.rng.integers(8, 20))
         ]
         b.add(join(blades), leaf, at=top, group=group)
         return
@@ -39,7 +47,10 @@ def plant(b: Builder, at: np.ndarray, height: float, group: str = "") -> None:
 
 def tree(b: Builder, at: np.ndarray, height: float) -> None:
     """A trunk, branches, and a crown of leaves."""
-    bark = Surface(color=(0.16, 0.11, 0.07), texture=b.texture("noise", (0.08, 0.05, 0.03), (0.25, 0.18, 0.12), 0.5))
+    bark = Surface(
+        color=(0.16, 0.11, 0.07),
+        texture=b.texture("noise", (0.08, 0.05, 0.03), (0.25, 0.18, 0.12), 0.5),
+    )
     leaf = Surface(color=_green(b), two_sided=True)
     wood, places = [], []
     trunk = np.array([[0, 0, 0], [0.03, 0.25, 0.01], [0.0, 0.5, 0.03]]) * height
@@ -107,11 +118,20 @@ def _blade(b: Builder, height: float, width: float) -> Mesh:
     normal = np.cross(slope, [1.0, 0, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     low = np.arange(6)
-    faces = np.concatenate([np.stack([low, low + 1, low + 7], 1), np.stack([low + 1, low + 8, low + 7], 1)])
-    mesh = Mesh(vertices=vertices, normals=np.concatenate([normal, normal]), uvs=vertices[:, :2], faces=faces)
+    faces = np.concatenate(
+        [np.stack([low, low + 1, low + 7], 1), np.stack([low + 1, low + 8, low + 7], 1)]
+    )
+    mesh = Mesh(
+        vertices=vertices,
+        normals=np.concatenate([normal, normal]),
+        uvs=vertices[:, :2],
+        faces=faces,
+    )
     # wound the way the normals point
     a, c, d = (mesh.vertices[mesh.faces[0, i]] for i in range(3))
     if np.cross(c - a, d - a) @ mesh.normals[mesh.faces[0, 0]] < 0:
-        mesh = Mesh(vertices=mesh.vertices, normals=mesh.normals, uvs=mesh.uvs, faces=mesh.faces[:, ::-1])
+        mesh = Mesh(
+            vertices=mesh.vertices, normals=mesh.normals, uvs=mesh.uvs, faces=mesh.faces[:, ::-1]
+        )
     foot = lift(*(b.rng.normal(size=2) @ np.array([[1, 0, 0], [0, 0, 1]]) * 0.03 * height))
     return mesh.moved(foot @ rotation([0, 1, 0], b.between(0, 360)))

@@ -31,8 +31,15 @@ def room(seed: int) -> World:
     """A seeded room; it stands on y = 0 around x = z = 0."""
     b = Builder([seed, 11])
     kind = b.pick(*KINDS, p=_ODDS)
-    low, high = ((2.2, 2.3, 2.4), (3.6, 2.8, 4.0)) if kind == "bathroom" else (
-        ((5.5, 2.8, 5.5), (8.5, 3.4, 9.0)) if kind in ("class", "hall") else ((3.6, 2.4, 3.8), (6.5, 3.1, 7.5)))
+    low, high = (
+        ((2.2, 2.3, 2.4), (3.6, 2.8, 4.0))
+        if kind == "bathroom"
+        else (
+            ((5.5, 2.8, 5.5), (8.5, 3.4, 9.0))
+            if kind in ("class", "hall")
+            else ((3.6, 2.4, 3.8), (6.5, 3.1, 7.5))
+        )
+    )
     size = b.rng.uniform(low, high)
     sides = walls(size)
     _windows(b, sides, kind)
@@ -43,14 +50,23 @@ def room(seed: int) -> World:
     if b.chance(0.15):
         x, z = size[0] / 2 - 0.1, size[2] / 2 - 0.1
         y = size[1] - 0.15
-        lamps.fairy_lights(b, np.array([-x, y, b.between(-z, z)]), np.array([x, y, b.between(-z, z)]), 20)
+        lamps.fairy_lights(
+            b, np.array([-x, y, b.between(-z, z)]), np.array([x, y, b.between(-z, z)]), 20
+        )
     sky, sun, day = daylight(b, sides)
     x, y, z = size / [2, 1, 2]
     return finish(
-        b, "room", daylight=day, sky=sky, sun=sun,
-        space=(np.array([-x + 0.25, 0.6, -z + 0.25]), np.array([x - 0.25, min(y - 0.4, 2.2), z - 0.25])),
+        b,
+        "room",
+        daylight=day,
+        sky=sky,
+        sun=sun,
+        space=(
+            np.array([-x + 0.25, 0.6, -z + 0.25]),
+            np.array([x - 0.25, min(y - 0.4, 2.2), z - 0.25]),
+        ),
         gaze=(np.array([-x, 0.2, -z]), np.array([x, 1.5, z])),
-    )  # fmt: skip
+    )
 
 
 def _windows(b: Builder, sides: list[Wall], kind: str) -> None:
@@ -75,7 +91,11 @@ def _surfaces(b: Builder, sides: list[Wall], size: np.ndarray, kind: str) -> Non
         b.add(pierced(wall), second if index == 0 else first)
         for hole in wall.holes:
             window(b, wall, hole, panes=b.chance(0.25))
-    floor = b.stone(gloss=0.75) if b.chance(0.75 if wet else 0.2) else (b.planks() if b.chance(0.75) else b.fabric())
+    floor = (
+        b.stone(gloss=0.75)
+        if b.chance(0.75 if wet else 0.2)
+        else (b.planks() if b.chance(0.75) else b.fabric())
+    )
     floor_and_ceiling(b, size, floor, Surface(color=b.color(light=b.between(0.65, 0.85))))
     if not wet and b.chance(0.8):
         skirting(b, sides)
@@ -120,14 +140,18 @@ def _dining(b: Builder, size: np.ndarray) -> None:
             if b.chance(0.8):
                 turn = 0 if side < 0 else 180
                 out = d / 2 + b.between(0.1, 0.35)
-                furniture.chair(b, at @ lift(s, 0, side * out) @ rotation([0, 1, 0], turn + b.between(-15, 15)))
+                furniture.chair(
+                    b, at @ lift(s, 0, side * out) @ rotation([0, 1, 0], turn + b.between(-15, 15))
+                )
     if b.chance(0.5):
         lamps.pendant(b, lift(at[0, 3], size[1], at[2, 3]), b.between(0.7, 1.1), b.between(15, 60))
 
 
 def _rug(b: Builder, size: np.ndarray) -> None:
     w, d = b.between(0.4, 0.8) * size[0], b.between(0.3, 0.7) * size[2]
-    at = lift(b.between(-0.3, 0.3), 0.0, b.between(-0.5, 0.5)) @ rotation([0, 1, 0], b.between(-10, 10))
+    at = lift(b.between(-0.3, 0.3), 0.0, b.between(-0.5, 0.5)) @ rotation(
+        [0, 1, 0], b.between(-10, 10)
+    )
     cloth = b.fabric() if b.chance(0.6) else b.printed(max(w, d))
     b.add(quad([-w / 2, 0.008, d / 2], [w, 0, 0], [0, 0, -d]), cloth, at=at)
 
@@ -154,7 +178,14 @@ def _living(b: Builder, sides: list[Wall], size: np.ndarray) -> None:
         furniture.sofa(b, at, w)
         front = at @ lift(0, 0, 1.5)
         b.take(front[0, 3], front[2, 3], 0.6)
-        furniture.table(b, front, b.between(0.8, 1.2), b.between(0.5, 0.7), b.between(0.35, 0.45), int(b.rng.integers(2, 7)))
+        furniture.table(
+            b,
+            front,
+            b.between(0.8, 1.2),
+            b.between(0.5, 0.7),
+            b.between(0.35, 0.45),
+            int(b.rng.integers(2, 7)),
+        )
     for _ in range(int(b.rng.integers(0, 3))):
         spot = _free_spot(b, size, 0.5)
         if spot is not None:
@@ -185,7 +216,9 @@ def _bedroom(b: Builder, sides: list[Wall], size: np.ndarray) -> None:
             stand = at @ lift(side * (w / 2 + 0.28), 0, 0)
             furniture.cabinet(b, stand, 0.42, 0.48, 0.36, clutter=2)
             if b.chance(0.7):
-                lamps.standing(b, stand @ lift(0.05, 0.48, 0.15), b.between(0.3, 0.45), b.between(4, 20))
+                lamps.standing(
+                    b, stand @ lift(0.05, 0.48, 0.15), b.between(0.3, 0.45), b.between(4, 20)
+                )
     wardrobe = _any_wall(b, sides, 1.6, 2.0)
     if wardrobe is not None:
         furniture.cabinet(b, wardrobe, 1.5, 2.0, 0.55)
@@ -193,7 +226,7 @@ def _bedroom(b: Builder, sides: list[Wall], size: np.ndarray) -> None:
         _desk(b, sides)
     at = _any_wall(b, sides, 0.7, 1.8)
     if at is not None and b.chance(0.6):
-        furniture.mirror(b, at @ lift(0, 1.0, 0) , 0.5, 1.5)
+        furniture.mirror(b, at @ lift(0, 1.0, 0), 0.5, 1.5)
     _plants(b, sides, 2)
     for _ in range(int(b.rng.integers(0, 4))):
         spot = _free_spot(b, size, 0.15)
@@ -247,7 +280,9 @@ def _desk(b: Builder, sides: list[Wall]) -> None:
     if at is None:
         return
     furniture.table(b, at @ lift(0, 0, 0.35), w, 0.65, 0.74, int(b.rng.integers(2, 7)))
-    furniture.chair(b, at @ lift(b.between(-0.2, 0.2), 0, 0.9) @ rotation([0, 1, 0], 180 + b.between(-40, 40)))
+    furniture.chair(
+        b, at @ lift(b.between(-0.2, 0.2), 0, 0.9) @ rotation([0, 1, 0], 180 + b.between(-40, 40))
+    )
     if b.chance(0.5):
         lamps.screen(b, at @ lift(0.1, 0.8, 0.2), b.between(0.45, 0.7), b.between(1, 6))
     if b.chance(0.6):
@@ -274,10 +309,16 @@ def _class(b: Builder, sides: list[Wall], size: np.ndarray) -> None:
             b.take(column, row, 0.8)
             furniture.table(b, at, 1.1, 0.5, 0.72, int(b.rng.integers(0, 4)))
             for s in (-0.28, 0.28):
-                furniture.chair(b, at @ lift(s, 0, 0.55) @ rotation([0, 1, 0], 180 + b.between(-20, 20)))
+                furniture.chair(
+                    b, at @ lift(s, 0, 0.55) @ rotation([0, 1, 0], 180 + b.between(-20, 20))
+                )
     board = sides[0].spot(sides[0].length / 2, 0.9, 0.02)
     if sides[0].clear(sides[0].length / 2 - 1.5, sides[0].length / 2 + 1.5, 0.8, 2.2):
-        b.add(quad([-1.5, 0, 0], [3, 0, 0], [0, 1.2, 0]), b.plain((0.03, 0.06, 0.045), gloss=0.6), at=board)
+        b.add(
+            quad([-1.5, 0, 0], [3, 0, 0], [0, 1.2, 0]),
+            b.plain((0.03, 0.06, 0.045), gloss=0.6),
+            at=board,
+        )
 
 
 def _hall(b: Builder, sides: list[Wall], size: np.ndarray) -> None:
@@ -322,16 +363,31 @@ def _ceiling_lights(b: Builder, size: np.ndarray, kind: str) -> None:
     if style == "none" and not b.lamps:
         style = "pendant"
     if style == "pendant":
-        lamps.pendant(b, lift(b.between(-0.5, 0.5), y, b.between(-0.5, 0.5)), b.between(0.3, 0.8), power)
+        lamps.pendant(
+            b, lift(b.between(-0.5, 0.5), y, b.between(-0.5, 0.5)), b.between(0.3, 0.8), power
+        )
     elif style == "panels":
         for u in np.linspace(-0.3, 0.3, 2):
-            for v in np.linspace(-0.3, 0.3, int(b.rng.integers(1, 4))) if kind != "bathroom" else (0.0,):
-                lamps.panel(b, lift(u * size[0], y, v * size[2]), b.between(0.15, 0.6), b.between(0.6, 1.2), power / 4)
+            for v in (
+                np.linspace(-0.3, 0.3, int(b.rng.integers(1, 4))) if kind != "bathroom" else (0.0,)
+            ):
+                lamps.panel(
+                    b,
+                    lift(u * size[0], y, v * size[2]),
+                    b.between(0.15, 0.6),
+                    b.between(0.6, 1.2),
+                    power / 4,
+                )
     elif style == "spots":
         lamps.spots(b, lift(0, y, b.between(-0.4, 0.4)), 0.6 * size[0], power)
 
 
 _FURNISH = {
-    "living": _living, "bedroom": _bedroom, "kitchen": _kitchen, "bathroom": _bathroom,
-    "office": _office, "class": _class, "hall": _hall,
-}  # fmt: skip
+    "living": _living,
+    "bedroom": _bedroom,
+    "kitchen": _kitchen,
+    "bathroom": _bathroom,
+    "office": _office,
+    "class": _class,
+    "hall": _hall,
+}

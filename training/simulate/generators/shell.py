@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -31,7 +32,9 @@ class Wall:
 
     def clear(self, left: float, right: float, low: float, high: float) -> bool:
         """Whether no opening lies in that part."""
-        return all(r <= left or le >= right or t <= low or bo >= high for le, bo, r, t in self.holes)
+        return all(
+            r <= left or le >= right or t <= low or bo >= high for le, bo, r, t in self.holes
+        )
 
 
 def walls(size: np.ndarray) -> list[Wall]:
@@ -58,15 +61,17 @@ def pierced(wall: Wall) -> Mesh:
     xs = sorted({0.0, wall.length, *(v for hole in wall.holes for v in (hole[0], hole[2]))})
     ys = sorted({0.0, wall.height, *(v for hole in wall.holes for v in (hole[1], hole[3]))})
     parts = []
-    for x0, x1 in zip(xs[:-1], xs[1:], strict=True):
-        for y0, y1 in zip(ys[:-1], ys[1:], strict=True):
+    for x0, x1 in pairwise(xs):
+        for y0, y1 in pairwise(ys):
             cx, cy = (x0 + x1) / 2, (y0 + y1) / 2
             if any(le < cx < r and bo < cy < t for le, bo, r, t in wall.holes):
                 continue
             face = quad([x0, y0, 0], [x1 - x0, 0, 0], [0, y1 - y0, 0])
             # one picture over the whole wall, whatever cells it is cut into
-            uvs = face.uvs + [x0, y0]
-            parts.append(Mesh(vertices=face.vertices, normals=face.normals, uvs=uvs, faces=face.faces))
+            uvs = face.uvs + np.array([x0, y0])
+            parts.append(
+                Mesh(vertices=face.vertices, normals=face.normals, uvs=uvs, faces=face.faces)
+            )
             # the outside, so that no light comes through from behind and none is lost in it
             parts.append(quad([x1, y0, -THICK], [x0 - x1, 0, 0], [0, y1 - y0, 0]))
     for le, bo, r, t in wall.holes:
@@ -83,7 +88,12 @@ def floor_and_ceiling(b: Builder, size: np.ndarray, floor: Surface, ceiling: Sur
     b.add(quad([-x, 0, z], [2 * x, 0, 0], [0, 0, -2 * z]), floor)
     b.add(quad([-x, y, -z], [2 * x, 0, 0], [0, 0, 2 * z]), ceiling)
     # seen from outside, by the sun
-    b.add(quad([-x - THICK, y + 0.1, z + THICK], [2 * x + 2 * THICK, 0, 0], [0, 0, -2 * z - 2 * THICK]), ceiling)
+    b.add(
+        quad(
+            [-x - THICK, y + 0.1, z + THICK], [2 * x + 2 * THICK, 0, 0], [0, 0, -2 * z - 2 * THICK]
+        ),
+        ceiling,
+    )
     if b.chance(0.2):
         for s in np.arange(-z + 0.4, z - 0.2, b.between(0.7, 1.3)):
             b.block([0, y - 0.09, s], [2 * x, 0.18, 0.12], b.wood())
@@ -104,14 +114,19 @@ def window(b: Builder, wall: Wall, hole: Hole, *, panes: bool) -> None:
     bars += [box([w / 2, h * i / (down + 1), 0], [w, 0.03, 0.035]) for i in range(1, down + 1)]
     b.add(join(bars), wood, at=at)
     if panes:
-        b.add(quad([0, 0, 0], [w, 0, 0], [0, h, 0]), Surface(color=(1, 1, 1), special="pane"), at=at)
+        b.add(
+            quad([0, 0, 0], [w, 0, 0], [0, h, 0]), Surface(color=(1, 1, 1), special="pane"), at=at
+        )
     b.block([w / 2, -0.02, THICK * 0.75], [w + 0.1, 0.03, THICK * 0.9], wood, at=at)
     dressing = b.pick("none", "curtains", "blinds", p=[0.4, 0.4, 0.2])
     if dressing == "curtains":
         curtains(b, wall, hole)
     elif dressing == "blinds":
         tilt = b.between(-0.02, 0.02)
-        slats = [box([w / 2, y, 0.1], [w - 0.02, 0.004 + abs(tilt), 0.045]) for y in np.arange(h * b.between(0, 0.6), h, 0.055)]
+        slats = [
+            box([w / 2, y, 0.1], [w - 0.02, 0.004 + abs(tilt), 0.045])
+            for y in np.arange(h * b.between(0, 0.6), h, 0.055)
+        ]
         if slats:
             b.add(join(slats), b.plain(b.color(light=0.7)), at=at)
 
@@ -147,7 +162,9 @@ def door(b: Builder, wall: Wall, along: float) -> None:
     rim = [box([s * (w / 2 + 0.04), h / 2, 0.02], [0.08, h + 0.08, 0.05]) for s in (-1, 1)]
     rim.append(box([0, h + 0.04, 0.02], [w, 0.08, 0.05]))
     b.add(join(rim), b.plain(b.color(light=0.75)), at=at)
-    knob = tube([[w / 2 - 0.08, 1.0, 0.03], [w / 2 - 0.08, 1.0, 0.08], [w / 2 - 0.18, 1.0, 0.085]], 0.009)
+    knob = tube(
+        [[w / 2 - 0.08, 1.0, 0.03], [w / 2 - 0.08, 1.0, 0.08], [w / 2 - 0.18, 1.0, 0.085]], 0.009
+    )
     b.add(knob, b.metal(), at=at)
 
 

@@ -25,20 +25,30 @@ def tabletop(seed: int) -> World:
         if b.chance(0.4):
             b.block([-1.3, 0.8, 0], [0.04, 1.7, 1.7], back)
     if b.chance(0.35):
-        folds = 0.02 * np.sin(np.linspace(0, 9, 40))[None] * b.rng.random((30, 1)) + 0.01 * b.rng.random((30, 40))
+        folds = 0.02 * np.sin(np.linspace(0, 9, 40))[None] * b.rng.random(
+            (30, 1)
+        ) + 0.01 * b.rng.random((30, 40))
         lay = lift(-0.5, 0.003, 0.4) @ rotation([1, 0, 0], -90)
         b.add(sheet(np.abs(folds), 1.0, 0.8), b.fabric(two_sided=True), at=lay)
     if b.chance(0.4):
         for level in range(int(b.rng.integers(1, 3))):
             w = b.between(0.3, 0.6)
-            b.block([b.between(-0.4, 0.4), 0.05 + 0.1 * level, b.between(-0.4, 0)], [w, 0.1, w * 0.6], b.stone())
+            b.block(
+                [b.between(-0.4, 0.4), 0.05 + 0.1 * level, b.between(-0.4, 0)],
+                [w, 0.1, w * 0.6],
+                b.stone(),
+            )
     count = int(b.rng.integers(5, 18))
     favourites = b.rng.choice(KINDS, 6)
     spots: list[tuple[float, float]] = []
     for _ in range(count):
         for _ in range(12):
             x, z = float(b.rng.normal() * 0.35), float(b.rng.normal() * 0.22)
-            if abs(x) < 0.9 and abs(z) < 0.6 and all(np.hypot(x - u, z - v) > 0.14 for u, v in spots):
+            if (
+                abs(x) < 0.9
+                and abs(z) < 0.6
+                and all(np.hypot(x - u, z - v) > 0.14 for u, v in spots)
+            ):
                 spots.append((x, z))
                 kind = b.pick(*favourites) if b.chance(0.6) else None
                 thing(b, lift(x, 0.002, z), scale=b.between(0.8, 1.5), kind=kind)

@@ -9,9 +9,24 @@ from stillray.training.simulate.mesh import box, cylinder, join, lathe, quad, ro
 from stillray.training.simulate.world import Surface
 
 KINDS = (
-    "vase", "bottle", "tumbler", "bowl", "fruit", "books", "plate", "mug", "candle", "box", "ball",
-    "frame", "toy", "pot_plant", "cable", "pens", "can",
-)  # fmt: skip
+    "vase",
+    "bottle",
+    "tumbler",
+    "bowl",
+    "fruit",
+    "books",
+    "plate",
+    "mug",
+    "candle",
+    "box",
+    "ball",
+    "frame",
+    "toy",
+    "pot_plant",
+    "cable",
+    "pens",
+    "can",
+)
 
 
 def thing(b: Builder, at: np.ndarray, *, scale: float = 1.0, kind: str | None = None) -> None:
@@ -64,8 +79,15 @@ def _twigs(b: Builder, at: np.ndarray, height: float, group: str) -> None:
 
 def _bottle(b: Builder, at: np.ndarray, group: str) -> None:
     r, h = b.between(0.025, 0.045), b.between(0.18, 0.32)
-    profile = [(0, 0), (r, 0), (r, 0.6 * h), (0.9 * r, 0.68 * h), (0.35 * r, 0.8 * h),
-               (0.33 * r, h), (0, h)]  # fmt: skip
+    profile = [
+        (0, 0),
+        (r, 0),
+        (r, 0.6 * h),
+        (0.9 * r, 0.68 * h),
+        (0.35 * r, 0.8 * h),
+        (0.33 * r, h),
+        (0, h),
+    ]
     b.add(lathe(profile), b.glass() if b.chance(0.6) else b.shiny(), at=at, group=group)
     label = b.printed(0.2, kind="print")
     b.add(lathe([(r + 0.001, 0.15 * h), (r + 0.001, 0.45 * h)]), label, at=at, group=group)
@@ -84,8 +106,12 @@ def _bowl(b: Builder, at: np.ndarray, group: str) -> None:
     angle = np.linspace(0.25, 1.35, 9)
     outside = np.stack([r * np.sin(angle), r * (np.cos(0.25) - np.cos(angle))], 1)
     inside = outside[::-1] * 0.95 + [0, 0.008]
-    b.add(lathe([(0, 0), *outside, *inside, (0, 0.01)]), b.shiny() if b.chance(0.3) else b.plain(),
-          at=at, group=group)  # fmt: skip
+    b.add(
+        lathe([(0, 0), *outside, *inside, (0, 0.01)]),
+        b.shiny() if b.chance(0.3) else b.plain(),
+        at=at,
+        group=group,
+    )
     peel = b.plain(b.color(vivid=True), gloss=0.7)
     for _ in range(int(b.rng.integers(0, 5))):
         x, z = b.rng.normal(size=2) * r * 0.3
@@ -110,8 +136,13 @@ def _books(b: Builder, at: np.ndarray, group: str) -> None:
         h = b.between(0.012, 0.045)
         w, d = b.between(0.13, 0.18), b.between(0.18, 0.25)
         turn = at @ lift(0, y, 0) @ rotation([0, 1, 0], b.between(-15, 15))
-        b.block([0, h / 2, 0.002], [w - 0.006, h - 0.006, d - 0.004], Surface(color=(0.7, 0.66, 0.58)),
-                at=turn, group=group)  # fmt: skip
+        b.block(
+            [0, h / 2, 0.002],
+            [w - 0.006, h - 0.006, d - 0.004],
+            Surface(color=(0.7, 0.66, 0.58)),
+            at=turn,
+            group=group,
+        )
         cover = b.printed(0.3) if b.chance(0.4) else b.plain(b.color(vivid=True), gloss=0.3)
         for level in (0.0015, h - 0.0015):
             b.block([0, level, 0], [w, 0.003, d], cover, at=turn, group=group)
@@ -138,10 +169,13 @@ def _mug(b: Builder, at: np.ndarray, group: str) -> None:
 def _candle(b: Builder, at: np.ndarray, group: str) -> None:
     r, h = b.between(0.012, 0.035), b.between(0.08, 0.22)
     b.add(cylinder([0, 0, 0], r, h), b.plain(b.color(light=0.75)), at=at, group=group)
-    b.add(lathe([(0, 0), (2.2 * r, 0), (2.4 * r, 0.012), (0, 0.006)]), b.metal(), at=at, group=group)
+    b.add(
+        lathe([(0, 0), (2.2 * r, 0), (2.4 * r, 0.012), (0, 0.006)]), b.metal(), at=at, group=group
+    )
     if b.chance(0.3):
-        flame = lathe([(0, h + 0.006), (0.006, h + 0.015), (0.003, h + 0.03), (0, h + 0.036)],
-                      segments=10)  # fmt: skip
+        flame = lathe(
+            [(0, h + 0.006), (0.006, h + 0.015), (0.003, h + 0.03), (0, h + 0.036)], segments=10
+        )
         b.shine(flame, (900, 420, 120), at=at, group=group, around=True)
 
 
@@ -159,8 +193,9 @@ def _ball(b: Builder, at: np.ndarray, group: str) -> None:
 def _frame(b: Builder, at: np.ndarray, group: str) -> None:
     w, h = b.between(0.1, 0.2), b.between(0.12, 0.25)
     lean = at @ rotation([1, 0, 0], -12)
-    b.block([0, h / 2, 0], [w, h, 0.012], b.metal() if b.chance(0.4) else b.wood(), at=lean,
-            group=group)  # fmt: skip
+    b.block(
+        [0, h / 2, 0], [w, h, 0.012], b.metal() if b.chance(0.4) else b.wood(), at=lean, group=group
+    )
     face = quad([-w * 0.42, 0.06 * h, 0.0065], [w * 0.84, 0, 0], [0, 0.88 * h, 0])
     b.add(face, b.printed(w), at=lean, group=group)
 
@@ -171,8 +206,13 @@ def _toy(b: Builder, at: np.ndarray, group: str) -> None:
     for _ in range(int(b.rng.integers(2, 7))):
         s = b.between(0.03, 0.07)
         turn = at @ lift(0, y, 0) @ rotation([0, 1, 0], b.between(0, 90))
-        b.block([0, s / 2, 0], [s * b.between(0.8, 1.8), s, s], b.plain(b.color(vivid=True)), at=turn,
-                group=group)  # fmt: skip
+        b.block(
+            [0, s / 2, 0],
+            [s * b.between(0.8, 1.8), s, s],
+            b.plain(b.color(vivid=True)),
+            at=turn,
+            group=group,
+        )
         y += s
 
 
@@ -204,15 +244,30 @@ def _can(b: Builder, at: np.ndarray, group: str) -> None:
     r, h = 0.033, b.between(0.09, 0.14)
     b.add(cylinder([0, 0, 0], r, h, segments=28), b.metal(), at=at, group=group)
     label = b.printed(0.2) if b.chance(0.6) else b.printed(0.2, kind="print")
-    b.add(lathe([(r + 0.0006, 0.01), (r + 0.0006, h - 0.01)], segments=28), label, at=at, group=group)
+    b.add(
+        lathe([(r + 0.0006, 0.01), (r + 0.0006, h - 0.01)], segments=28), label, at=at, group=group
+    )
 
 
 _MAKERS = {
-    "vase": _vase, "bottle": _bottle, "tumbler": _tumbler, "bowl": _bowl, "fruit": _fruit,
-    "books": _books, "plate": _plate, "mug": _mug, "candle": _candle, "box": _box, "ball": _ball,
-    "frame": _frame, "toy": _toy, "pot_plant": _pot_plant, "cable": _cable, "pens": _pens,
+    "vase": _vase,
+    "bottle": _bottle,
+    "tumbler": _tumbler,
+    "bowl": _bowl,
+    "fruit": _fruit,
+    "books": _books,
+    "plate": _plate,
+    "mug": _mug,
+    "candle": _candle,
+    "box": _box,
+    "ball": _ball,
+    "frame": _frame,
+    "toy": _toy,
+    "pot_plant": _pot_plant,
+    "cable": _cable,
+    "pens": _pens,
     "can": _can,
-}  # fmt: skip
+}
 
 
 def row_of_books(b: Builder, at: np.ndarray, width: float, height: float, depth: float) -> None:
