@@ -80,7 +80,7 @@ def render_reference(stage: Stage, moment: Moment, *, spp: int, seed: int) -> np
     """Render the reference radiance, ``(h, w, 3)`` at the reference scale."""
     strata = min(REFERENCE_STRATA, spp) if stage.plan.shutter else 1
     rng = np.random.default_rng([seed, 2])
-    total = 0.0
+    total = np.zeros(())
     for index, time in enumerate(shutter_times(moment.frame, stage.plan.shutter, strata, rng)):
         stage.pose(time)
         stage.aim(moment.path(time), moment.focus)

@@ -102,7 +102,7 @@ def box(centre: Vector, size: Vector) -> Mesh:
     return join(sides).moved(translation(centre))
 
 
-def lathe(profile: Sequence[Vector], *, segments: int = 24) -> Mesh:
+def lathe(profile: Sequence[Vector] | np.ndarray, *, segments: int = 24) -> Mesh:
     """A surface of revolution about y.
 
     Parameters
@@ -173,7 +173,7 @@ def sphere(centre: Vector, radius: float, *, rings: int = 16) -> Mesh:
     return lathe(profile, segments=2 * rings).moved(translation(centre))
 
 
-def tube(points: Sequence[Vector], radius: float, *, sides: int = 8) -> Mesh:
+def tube(points: Sequence[Vector] | np.ndarray, radius: float, *, sides: int = 8) -> Mesh:
     """A round rod along a polyline: cables, rails, stems, branches."""
     line = np.asarray(points, float)
     tangent = np.gradient(line, axis=0)

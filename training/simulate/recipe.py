@@ -83,7 +83,9 @@ def read_recipe(path: Path) -> list[Job]:
 
 def _options(values: dict[str, Any], where: str) -> SequenceOptions:
     _no_others(values, {field.name for field in fields(SequenceOptions)} - {"seed"}, where)
-    tuples = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+    tuples: dict[str, Any] = {
+        name: tuple(v) if isinstance(v, list) else v for name, v in values.items()
+    }
     try:
         return SequenceOptions(**tuples)
     except TypeError as error:

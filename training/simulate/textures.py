@@ -33,7 +33,19 @@ class Texture:
         """``(pixels, pixels, 3)`` float32 reflectances, linear."""
         if self.kind == "painting":
             return painting(np.random.default_rng(self.seed), self.pixels)
-        low, high = np.float32(self.low), np.float32(self.high)
+        low, high = np.array(self.low, np.float32), np.array(self.high, np.float32)
+        return low + (high - low) * self.pattern()[..., None]
+
+
+def pattern(self) -> np.ndarray:
+        """``(pixels, pixels)`` in [0, 1]."""
+        return pattern(self.kind, np.random.default_rng(self.seed), self.pixels)
+
+    def image(self) -> np.ndarray:
+        """``(pixels, pixels, 3)`` float32 reflectances, linear."""
+        if self.kind == "painting":
+            return painting(np.random.default_rng(self.seed), self.pixels)
+        low, high = np.array(self.low, np.float32), np.array(self.high, np.float32)
         return low + (high - low) * self.pattern()[..., None]
 
     def mean(self) -> tuple[float, ...]:
@@ -107,7 +119,7 @@ def _print(rng: np.random.Generator, size: int) -> np.ndarray:
     if rng.random() < 0.5:
         left, top = (int(v) for v in rng.integers(size // 8, size // 2, 2))
         cv2.rectangle(page, (left, top), (left + size // 3, top + size // 4), 100, -1)
-    return np.float32(page)
+    return page.astype(np.float32)
 
 
 def painting(rng: np.random.Generator, size: int) -> np.ndarray:
@@ -161,19 +173,19 @@ def sky(kind: str, rng: np.random.Generator, height: int = 128) -> np.ndarray:
             w, h = (int(v) for v in rng.integers(height // 16, height // 4, 2))
             tint = np.exp(rng.normal(size=3) * 0.1) * rng.uniform(4, 20)
             image[max(y - h, 0) : y + h, max(x - w, 0) : x + w] = tint
-        return np.float32(image / image.mean())
+        return image / image.mean()
     zenith, horizon = {
         "clear": ([0.25, 0.45, 1.0], [0.9, 1.0, 1.1]),
         "cloudy": ([0.9, 0.95, 1.0], [0.8, 0.8, 0.8]),
         "dusk": ([0.2, 0.25, 0.5], [1.6, 0.8, 0.4]),
         "night": ([0.3, 0.4, 0.8], [0.6, 0.5, 0.5]),
     }[kind]
+    above, low = np.array(zenith, np.float32), np.array(horizon, np.float32)
     blend = (1 - up) ** rng.uniform(1.5, 4)
-    image = np.float32(zenith) * (1 - blend) + np.float32(horizon) * blend
-    image = np.broadcast_to(image, (height, 2 * height, 3)).copy()
+    image = np.tile(above * (1 - blend) + low * blend, (1, 2 * height, 1))
     clouds = sum(noise(rng, 2 * height, 4 * 2**i) / 2**i for i in range(5))[:height]
     cover = np.clip((clouds - np.quantile(clouds, rng.uniform(0.2, 0.9))) * 4, 0, 1)[..., None]
-    image = image * (1 - cover) + np.float32([1.2, 1.2, 1.25]) * np.float32(horizon) * cover
-    ground = np.float32(rng.uniform(0.1, 0.35) * np.exp(rng.normal(size=3) * 0.2))
+    image = image * (1 - cover) + np.array([1.2, 1.2, 1.25], np.float32) * low * cover
+    ground = rng.uniform(0.1, 0.35) * np.exp(rng.normal(size=3) * 0.2)
     image = np.where(elevation < 0, ground, image)
-    return np.float32(image / image.mean())
+    return np.asarray(image / image.mean(), np.float32)

@@ -46,4 +46,4 @@ def environment_map(description: Sky, height: int = 128) -> np.ndarray:
         )
         seen = toward @ np.asarray(description.facing) > -0.05
         image = image * seen[..., None]
-    return np.float32(image)
+    return np.asarray(image, np.float32)

@@ -28,8 +28,8 @@ class MirrorGlass(Effect):
             params = {"material": "none", "specular_reflectance": tint}
             return Node(plugin="conductor", asked_by=self.name, params=params)
         if surface.special == "glass":
-            params = {"int_ior": 1.5, "specular_transmittance": tint}
-            return Node(plugin="dielectric", asked_by=self.name, params=params)
+            clear = {"int_ior": 1.5, "specular_transmittance": tint}
+            return Node(plugin="dielectric", asked_by=self.name, params=clear)
         if surface.special == "pane":
             return Node(plugin="thindielectric", asked_by=self.name, params={"int_ior": 1.5})
         return node

@@ -31,7 +31,7 @@ class Texture(Effect):
             return node
         image = lamp.picture.image()
         # the screen keeps its power
-        image = image / max(float(image.mean()), 1e-6) * np.float32(lamp.radiance)
+        image = image / max(float(image.mean()), 1e-6) * np.array(lamp.radiance, np.float32)
         return Node(
             plugin="area",
             asked_by=node.asked_by,

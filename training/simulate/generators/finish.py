@@ -46,7 +46,10 @@ def finish(
         Whether the scene calls for the sky and the sun.
     """
     gain = float(2.0 ** b.rng.uniform(-EXPOSURE_STOPS, EXPOSURE_STOPS))
-    lamps = [replace(lamp, radiance=tuple(gain * v for v in lamp.radiance)) for lamp in b.lamps]
+    lamps = [
+        replace(lamp, radiance=tuple(gain * v for v in lamp.radiance))  # type: ignore[arg-type]
+        for lamp in b.lamps
+    ]
     if sky:
         sky = replace(sky, radiance=sky.radiance * gain)
     if sun:

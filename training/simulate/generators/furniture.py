@@ -9,6 +9,7 @@ import numpy as np
 from stillray.training.simulate.generators.build import Builder, lift
 from stillray.training.simulate.generators.things import row_of_books, thing, things
 from stillray.training.simulate.mesh import (
+    Mesh,
     box,
     cylinder,
     join,
@@ -63,7 +64,7 @@ def table(
     things(b, at @ lift(0, height + 0.003, 0), width, depth, clutter)
 
 
-def _leg(b: Builder, foot: np.ndarray, head: np.ndarray) -> object:
+def _leg(b: Builder, foot: np.ndarray, head: np.ndarray) -> Mesh:
     thick = 0.016 + 0.01 * (head[1] > 0.6)
     return tube([foot, (foot + head) / 2, head], thick, sides=4 if b.chance(0.5) else 10)
 
@@ -132,12 +133,10 @@ def sofa(b: Builder, at: np.ndarray, width: float) -> None:
     b.add(join(feet), b.wood(), at=at, group=group)
 
 
-def _cushion(size: list[float]) -> object:
+def _cushion(size: list[float]) -> Mesh:
     """A box that bulges: an ellipsoid raised to a power."""
     ball = sphere([0, 0, 0], 1.0, rings=14)
     shaped = np.sign(ball.vertices) * np.abs(ball.vertices) ** 0.55
-    from stillray.training.simulate.mesh import Mesh
-
     half = np.array(size) / 2
     normals = np.sign(ball.normals) * np.abs(ball.normals) ** 1.4 / half
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)

@@ -5,11 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from stillray.training.simulate.generators.build import Builder, lift
-from stillray.training.simulate.mesh import cylinder, join, lathe, quad, rotation, sphere, tube
+from stillray.training.simulate.mesh import (
+    Mesh,
+    cylinder,
+    join,
+    lathe,
+    quad,
+    rotation,
+    sphere,
+    tube,
+)
 from stillray.training.simulate.textures import Texture
 
 
-def _shade(b: Builder, top: float, bottom: float, height: float) -> object:
+def _shade(b: Builder, top: float, bottom: float, height: float) -> Mesh:
     """An open shade, its rim at the origin, a wall 4 mm thick."""
     t = 0.004
     return lathe(
@@ -150,7 +159,7 @@ def fairy_lights(b: Builder, start: np.ndarray, end: np.ndarray, power: float) -
         radiance = color / color.mean() * power / count / (4 * np.pi**2 * 0.015**2)
         b.shine(
             sphere(spot - [0, 0.02, 0], 0.015, rings=6),
-            tuple(float(v) for v in radiance),
+            (float(radiance[0]), float(radiance[1]), float(radiance[2])),
             around=True,
         )
 

@@ -20,10 +20,9 @@ def daylight(b: Builder, sides: list[Wall]) -> tuple[Sky | None, Sun | None, boo
     """
     style = b.pick("sky", "panels", "night", p=[0.45, 0.35, 0.2])
     glazed = [wall for wall in sides if wall.holes]
-    inward = sum((wall.frame[:3, 2] for wall in glazed), np.zeros(3))
-    facing = tuple(float(v) for v in -inward / max(np.linalg.norm(inward), 1e-9))
-    if len(glazed) > 1:
-        facing = None  # two windows see more than half of the sky
+    facing = None  # windows in two walls see more than half of the sky
+    if len(glazed) == 1:
+        facing = tuple(float(v) for v in -glazed[0].frame[:3, 2])
     kind = b.pick("clear", "cloudy", "dusk", p=[0.5, 0.35, 0.15])
     sky = Sky(kind=kind, seed=int(b.rng.integers(2**31)), radiance=b.between(3, 12), facing=facing)  # type: ignore[arg-type]
     sun = sunlight(b, -glazed[0].frame[:3, 2] if glazed else np.array([1.0, 0, 0]), spread=50)
