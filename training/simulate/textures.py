@@ -37,22 +37,6 @@ class Texture:
         return low + (high - low) * self.pattern()[..., None]
 
 
-def pattern(self) -> np.ndarray:
-        """``(pixels, pixels)`` in [0, 1]."""
-        return pattern(self.kind, np.random.default_rng(self.seed), self.pixels)
-
-    def image(self) -> np.ndarray:
-        """``(pixels, pixels, 3)`` float32 reflectances, linear."""
-        if self.kind == "painting":
-            return painting(np.random.default_rng(self.seed), self.pixels)
-        low, high = np.array(self.low, np.float32), np.array(self.high, np.float32)
-        return low + (high - low) * self.pattern()[..., None]
-
-    def mean(self) -> tuple[float, ...]:
-        """About the mean reflectance: what a surface without its texture shows."""
-        return tuple((np.array(self.low) + np.array(self.high)) / 2)
-
-
 def pattern(kind: str, rng: np.random.Generator, size: int = 256) -> np.ndarray:
     """A seeded ``(size, size)`` float32 pattern that fills [0, 1]."""
     row, column = np.mgrid[0:size, 0:size].astype(np.float32) / size
