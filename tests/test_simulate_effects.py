@@ -132,7 +132,7 @@ def test_numbers_drawn_are_those_the_plan_names(mi):
         stage = stage_of(mi, everything(), names)
         stage.integrator = Silent()
         sampler = Counting()
-        trace._sample(stage, sampler, stage.sensor, 5, np.zeros(2), (), True)
+        trace._sample(stage, sampler, 5, np.zeros(2), ())
         camera = [d for d in stage.plan.dimensions if d.per == "sample"]
         assert sampler.drawn == sum(d.size for d in camera)
 

@@ -9,7 +9,7 @@ import numpy as np
 from stillray.training.simulate.camera import Camera
 from stillray.training.simulate.mesh import Mesh
 from stillray.training.simulate.node import Node, to_mitsuba
-from stillray.training.simulate.plan import Plan
+from stillray.training.simulate.plan import REFERENCE_ROULETTE, Plan
 
 HULL = "medium_hull"  # the cube that holds a medium
 _HULL_MARGIN = 0.5  # of the scene's extent, on every side
@@ -29,8 +29,8 @@ class Stage:
 
     Attributes
     ----------
-    scene, integrator, sensor, reference_sensor
-        Mitsuba objects; ``reference_sensor`` has the size of the references.
+    scene, integrator, sensor, reference_integrator, reference_sensor
+        Mitsuba objects; those for references end paths sooner and have the references' size.
     groups : list of str
         What moves; a group's place in it plus 1 is its object index, 0 is what stands still.
     movers : list of (Mitsuba shape, int)
@@ -50,6 +50,9 @@ class Stage:
             objects[HULL] = self._hull(self.medium)
         self.scene = mi.load_dict({"type": "scene", **objects})
         self.integrator = mi.load_dict(to_mitsuba(mi, plan.integrator))
+        self.reference_integrator = mi.load_dict(
+            {**to_mitsuba(mi, plan.integrator), "rr_depth": REFERENCE_ROULETTE}
+        )
         scale = plan.wants.reference_scale
         self.sensor = self._sensor(1)
         self.reference_sensor = self.sensor if scale == 1 else self._sensor(scale)

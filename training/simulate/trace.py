@@ -47,17 +47,14 @@ def first_hits(
         sampler = stage.mi.load_dict({"type": "independent"})
         sampler.seed(seed, len(pixels))
         number = stage.mi.UInt32(pixels.astype(np.uint32))
-        seen = _sample(stage, sampler, stage.sensor, number, jitter, guides, True)
+        seen = _sample(stage, sampler, number, jitter, guides)
         import drjit as dr
 
         dr.eval(seen)
         return {name: _planar(value) for name, value in seen.items()}
     sampler = stage.mi.load_dict({"type": "independent"})
     sampler.seed(seed)
-    rows = [
-        _sample(stage, sampler, stage.sensor, int(number), jitter, guides, True)
-        for number in pixels
-    ]
+    rows = [_sample(stage, sampler, int(number), jitter, guides) for number in pixels]
     return {name: np.array([row[name] for row in rows], np.float64) for name in rows[0]}
 
 
@@ -69,7 +66,9 @@ def radiance(stage: Stage, sensor: Any, spp: int, seed: int) -> np.ndarray:
     for index, count in enumerate(_launches(spp, height * width)):
         if "scalar" in mi.variant():
             # its own loop over the film runs on all cores; from Python it would run on one
-            part = stage.integrator.render(stage.scene, sensor, seed=seed + index, spp=count)
+            part = stage.reference_integrator.render(
+                stage.scene, sensor, seed=seed + index, spp=count
+            )
             part = np.array(part, np.float64)[..., :3]
         else:
             part = _radiance_jit(stage, sensor, count, seed + index)
@@ -93,7 +92,7 @@ def _radiance_jit(stage: Stage, sensor: Any, spp: int, seed: int) -> np.ndarray:
     sampler.seed(seed, height * width * spp)
     # opaque: another count must not compile another kernel
     number = dr.arange(mi.UInt32, height * width * spp) // dr.opaque(mi.UInt32, spp)
-    color = _sample(stage, sampler, sensor, number, np.zeros(2), (), False)["color"]
+    color = _light(stage, stage.reference_integrator, sampler, sensor, number, np.zeros(2))[0]
     dr.eval(color)  # before the sums: each would trace all of it again
     if spp > 1:
         color = [dr.block_sum(channel, spp) / spp for channel in color]
@@ -101,15 +100,17 @@ def _radiance_jit(stage: Stage, sensor: Any, spp: int, seed: int) -> np.ndarray:
 
 
 def _sample(
-    stage: Stage,
-    sampler: Any,
-    sensor: Any,
-    number: Any,
-    jitter: np.ndarray,
-    guides: tuple[str, ...],
-    features: bool,
+    stage: Stage, sampler: Any, number: Any, jitter: np.ndarray, guides: tuple[str, ...]
 ) -> dict[str, Any]:
-    """One sample (scalar variants) or a wavefront of them."""
+    """One sample (scalar variants) or a wavefront of them: colour and first hit."""
+    color, ray = _light(stage, stage.integrator, sampler, stage.sensor, number, jitter)
+    return {"color": color, "direction": ray.d, **_features(stage, sampler, ray, guides)}
+
+
+def _light(
+    stage: Stage, integrator: Any, sampler: Any, sensor: Any, number: Any, jitter: np.ndarray
+) -> tuple[Any, Any]:
+    """Radiance of camera samples in the given pixels, and their rays."""
     mi = stage.mi
     width, height = (int(v) for v in np.array(sensor.film().size()))
     row = number // width
@@ -121,12 +122,8 @@ def _sample(
     lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5, 0.5)
     ray, weight = sensor.sample_ray(0.0, 0.5, place, lens)
     ray = mi.RayDifferential3f(ray)
-    light, _, _ = stage.integrator.sample(stage.scene, sampler, ray, stage.medium)
-    seen: dict[str, Any] = {"color": light * weight}
-    if features:
-        seen["direction"] = ray.d
-        seen.update(_features(stage, sampler, ray, guides))
-    return seen
+    light, _, _ = integrator.sample(stage.scene, sampler, ray, stage.medium)
+    return light * weight, ray
 
 
 def _features(stage: Stage, sampler: Any, ray: Any, guides: tuple[str, ...]) -> dict[str, Any]:
