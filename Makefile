@@ -33,7 +33,7 @@ $(RUNTIME)/.ready: pyproject.toml
 $(FULL)/.ready: pyproject.toml
 	@echo "installing everything (torch and Mitsuba too: a few minutes) into $(FULL)"
 	$(PYTHON) -m venv $(FULL)
-	$(FULL)/bin/python -m pip install -q -e '.[train,compare,dev]'
+	$(FULL)/bin/python -m pip install -q -e '.[train,farm,compare,dev]'
 	@touch $@
 
 clean:

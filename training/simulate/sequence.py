@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,19 +14,30 @@ import numpy as np
 from stillray.errors import InputError
 from stillray.exr import atomic_path, write_channels
 from stillray.training.simulate import buffers
-from stillray.training.simulate.camera import Camera, look_at, smooth_path
-from stillray.training.simulate.room import Room
+from stillray.training.simulate.camera import Camera, look_at
+from stillray.training.simulate.generators import GENERATORS, generate
+from stillray.training.simulate.paths import MOVES, CameraPath, camera_path
+from stillray.training.simulate.plan import Plan, Wants, make_plan
+from stillray.training.simulate.stage import Stage
+from stillray.training.simulate.viewpoint import find_path, require_open
+from stillray.training.simulate.world import World
+from stillray.training.simulate.xml_scene import open_xml
 
-ROOM = "room"  # the scene name that stands for the procedural room
-SENSOR_CLEARANCE = 0.12  # of the median depth: nearest surface around a camera
+_STALE = 600.0  # seconds after which an unfinished file belongs to a run that was killed
 RECORD = "sequence.json"  # written last: a sequence without it is not finished
 _LAYERS = {
     "color": ("R", "G", "B"),
+    "color_b": ("color_b.R", "color_b.G", "color_b.B"),
     "albedo": ("albedo.R", "albedo.G", "albedo.B"),
     "normal": ("normal.X", "normal.Y", "normal.Z"),
     "depth": ("depth.Z",),
     "motion": ("motion.X", "motion.Y"),
+    "roughness": ("roughness.Y",),
+    "specular_albedo": ("specular_albedo.R", "specular_albedo.G", "specular_albedo.B"),
 }
+_FULL = ("depth.Z", "motion.X", "motion.Y")  # written as float: half rounds 500 pixels to 0.25
+_SPEEDS = ([0.3, 1.0, 2.0], [0.25, 0.45, 0.3])  # factors on the speed and their probabilities
+_MOVE_ODDS = (0.12, 0.3, 0.28, 0.3)  # of MOVES, where none is asked for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,75 +45,75 @@ class SequenceOptions:
     """What to render."""
 
     frames: int = 8  # 1 or more
-    height: int = 256  # pixels
-    width: int = 256  # pixels
+    height: int = 256  # pixels, 1 or more
+    width: int = 256  # pixels, 1 or more
     spp: int = 1  # samples a pixel of the noisy frames, 1 or more
     reference_spp: int = 256  # samples a pixel of the references, 1 or more
     references: int = 1  # the last so many frames have a reference, 0 to frames
-    max_depth: int = 8  # path length, 1 or more
-    speed: float = 0.008  # camera move a frame, as a fraction of the distance looked at
-    seed: int = 0
+    reference_scale: int = 1  # references are so many times as wide and high: 1 or 2
+    speed: float = 0.008  # camera move a frame, as a fraction of the distance looked at, 0 or more
+    move: str | None = None  # of `paths.MOVES`; None: drawn
+    second_color: bool = False  # an independent second colour, color_b
+    guides: tuple[str, ...] = ()  # further features: roughness, specular_albedo
+    jitter: bool = False  # sub-pixel offset of the image plane, Halton 2 and 3
+    origin: tuple[float, float, float] | None = None  # of the camera, metres; None: drawn
+    target: tuple[float, float, float] | None = None  # what the camera at origin looks at
+    fov: float = 60.0  # horizontal field of view of the camera at origin, degrees, 1 to 170
+    seed: int = 0  # 0 or more
 
     def __post_init__(self) -> None:
-        for name in ("frames", "height", "width", "spp", "reference_spp", "max_depth"):
+        for name in ("frames", "height", "width", "spp", "reference_spp"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be 1 or more, got {getattr(self, name)}")
+        for name in ("speed", "seed"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"{name} must be 0 or more, got {getattr(self, name)}")
         if not 0 <= self.references <= self.frames:
             raise InputError(
                 f"references must be 0 to frames ({self.frames}), got {self.references}"
             )
+        if self.move is not None and self.move not in MOVES:
+            raise InputError(f"move must be of {', '.join(MOVES)}, got {self.move}")
+        if (self.origin is None) != (self.target is None):
+            raise InputError("origin and target must be given together, got one of them")
+        if self.origin is not None and self.origin == self.target:
+            raise InputError(f"target must differ from origin, got {self.target} for both")
+        if not 1 <= self.fov <= 170:
+            raise InputError(f"fov must be 1 to 170 degrees, got {self.fov:g}")
+        self.wants()
+
+    def wants(self) -> Wants:
+        """The buffers on demand."""
+        return Wants(
+            second_color=self.second_color,
+            guides=self.guides,
+            jitter=self.jitter,
+            reference_scale=self.reference_scale,
+        )
 
 
-@dataclass(frozen=True, kw_only=True)
-class OpenScene:
-    """A loaded scene, and how to draw a camera in it."""
-
-    label: str
-    scene: Any
-    draw_camera: Callable[[np.random.Generator], Camera]
-
-
-def open_scene(mi: Any, name: str, seed: int, height: int, width: int) -> OpenScene:
-    """Load a scene once, for any number of views.
-
-    Parameters
-    ----------
-    mi
-        The Mitsuba module with its variant set.
-    name
-        ``"room"`` for the procedural room, or the path of a Mitsuba XML file.
-    seed
-        Which room; an XML file has one likeness only.
-    height, width
-        Size of the pictures in pixels.
+def open_world(mi: Any, name: str, seed: int) -> World:
+    """A scene by name: one of the generators, or the path of a Mitsuba XML file.
 
     Raises
     ------
     InputError
-        The scene file is missing or Mitsuba cannot load it.
+        There is no such generator or file, or Mitsuba cannot read it.
     """
-    if name == ROOM:
-        room = Room(mi, seed)
-        scene = mi.load_dict({**room.scene, "sensor": _sensor(height, width)})
-        return OpenScene(label=ROOM, scene=scene, draw_camera=lambda rng: _room_camera(room, rng))
+    if name in GENERATORS:
+        return generate(name, seed)
     path = Path(name)
     if not path.is_file():
-        raise InputError(f"scene must be 'room' or a Mitsuba XML file, got {name}")
-    try:
-        scene = mi.load_file(str(path), resx=width, resy=height)
-    except RuntimeError as error:
-        raise InputError(f"{path}: Mitsuba cannot load it: {str(error).splitlines()[-1]}") from None
-    parameters = mi.traverse(scene.sensors()[0])
-    home = Camera(
-        to_world=np.array(parameters["to_world"].matrix, np.float64).reshape(4, 4),
-        fov_x=float(np.array(parameters["x_fov"]).ravel()[0]),
-    )
-    distance = _distances(mi, scene, home)[1]
-    return OpenScene(
-        label=path.resolve().parent.name,
-        scene=scene,
-        draw_camera=lambda rng: _orbit_camera(home, distance, rng),
-    )
+        known = ", ".join(GENERATORS)
+        raise InputError(f"scene must be of {known} or a Mitsuba XML file, got {name}")
+    return open_xml(mi, path, seed)
+
+
+def plan_scene(
+    mi: Any, name: str, seed: int, effects: Iterable[str] | None, options: SequenceOptions
+) -> Plan:
+    """Open a scene and decide what is simulated in it; see `make_plan`."""
+    return make_plan(open_world(mi, name, seed), effects, options.wants())
 
 
 def is_complete(folder: Path) -> bool:
@@ -109,150 +121,127 @@ def is_complete(folder: Path) -> bool:
     return (folder / RECORD).is_file()
 
 
-def render_sequence(mi: Any, source: OpenScene, folder: Path, options: SequenceOptions) -> None:
-    """Render a sequence; frames that are already there are kept, so a killed run resumes.
+def render_sequence(
+    stage: Stage,
+    folder: Path,
+    options: SequenceOptions,
+    *,
+    on_frame: Callable[[], None] = lambda: None,
+) -> None:
+    """Render a sequence; files that are already there are kept, so a killed run resumes.
 
     Parameters
     ----------
-    mi
-        The Mitsuba module with its variant set.
-    source
-        The loaded scene.
+    stage
+        The loaded scene; any number of sequences may be rendered on it one after the other.
     folder
         Where the files go; made if missing.
     options
         Sizes, counts and the seed: the same seed gives the same pixels on the same variant.
+    on_frame
+        Called after each frame.
+
+    Raises
+    ------
+    InputError
+        The camera asked for is inside geometry, or the scene has no place for one.
     """
     if is_complete(folder):
         return
-    folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng([options.seed, 77])
-    scene = source.scene
-    start, distance = _search_camera(mi, source, rng)
-    speed = options.speed * rng.choice([0.0, 0.3, 1.0, 2.0], p=[0.1, 0.2, 0.4, 0.3])
-    path = smooth_path(rng, start, distance, options.frames, speed=float(speed))
-    for frame, camera in enumerate(path):
-        # passes of a reference take consecutive seeds; Mitsuba's are of 32 bits
-        seed = int(np.random.SeedSequence([options.seed, frame]).generate_state(1)[0] >> 1)
-        target = folder / f"frame_{frame:04d}.exr"
-        if not target.is_file():
-            layers = buffers.render_noisy(
-                mi,
-                scene,
-                camera,
-                path[max(frame - 1, 0)],
-                spp=options.spp,
-                seed=seed,
-                max_depth=options.max_depth,
-            )
-            write_channels(target, _channels(layers))
-        target = folder / f"ref_{frame:04d}.exr"
-        if frame >= options.frames - options.references and not target.is_file():
-            reference = buffers.render_reference(
-                mi,
-                scene,
-                camera,
-                spp=options.reference_spp,
-                seed=seed + 1,
-                max_depth=options.max_depth,
-            )
-            write_channels(target, _channels({"color": reference}))
+    move = options.move or str(rng.choice(MOVES, p=_MOVE_ODDS))
+    speed = (
+        options.speed
+        if options.move
+        else options.speed * float(rng.choice(_SPEEDS[0], p=_SPEEDS[1]))
+    )
+    path, distance = _path(stage, rng, options, move, speed)
+    focus = stage.plan.world.lens.focus * distance
+    folder.mkdir(parents=True, exist_ok=True)
+    _sweep(folder)
+    jitters = [_jitter(frame) if options.jitter else np.zeros(2) for frame in range(options.frames)]
+    for frame in range(options.frames):
+        moment = buffers.Moment(frame=frame, path=path, focus=focus, jitter=jitters[frame])
+        _render_frame(stage, folder, options, moment)
+        on_frame()
     record = {
-        "scene": source.label,
+        "scene": stage.plan.world.label,
+        "effects": list(stage.plan.effects),
+        "variant": stage.mi.variant(),
+        "integrator": {"plugin": stage.plan.integrator.plugin, **stage.plan.integrator.params},
+        "move": move,
+        "moving": stage.groups,
+        "shutter": stage.plan.shutter,
         "options": asdict(options),
         "cameras": [
-            {"camera_to_world": camera.to_world.tolist(), "fov_x_deg": camera.fov_x}
-            for camera in path
+            {
+                "camera_to_world": path(float(frame)).to_world.tolist(),
+                "fov_x_deg": path(float(frame)).fov_x,
+                "jitter": jitters[frame].tolist(),
+            }
+            for frame in range(options.frames)
         ],
     }
     with atomic_path(folder / RECORD) as temporary:
         temporary.write_text(json.dumps(record, indent=1))
 
 
-def _channels(layers: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _path(
+    stage: Stage, rng: np.random.Generator, options: SequenceOptions, move: str, speed: float
+) -> tuple[CameraPath, float]:
+    if options.origin is None or options.target is None:
+        return find_path(stage, rng, frames=options.frames, move=move, speed=speed)
+    origin, target = np.array(options.origin, float), np.array(options.target, float)
+    forward = (target - origin) / np.linalg.norm(target - origin)
+    up = np.array([0, 1.0, 0]) if abs(forward[1]) < 0.99 else np.array([0, 0, 1.0])
+    start = Camera(to_world=look_at(origin, target, up), fov_x=options.fov)
+    path = camera_path(move, rng, start, float(np.linalg.norm(target - origin)), speed=speed)
+    return path, require_open(stage, path, options.frames)
+
+
+def _render_frame(
+    stage: Stage, folder: Path, options: SequenceOptions, moment: buffers.Moment
+) -> None:
+    # launches take consecutive seeds, and Mitsuba's are of 32 bits
+    seeds = np.random.SeedSequence([options.seed, moment.frame]).generate_state(3) >> 1
+    noisy, second, exact = (int(seed) for seed in seeds)
+    target = folder / f"frame_{moment.frame:04d}.exr"
+    if not target.is_file():
+        layers = buffers.render_noisy(stage, moment, spp=options.spp, seed=noisy)
+        if options.second_color:
+            layers["color_b"] = buffers.render_second(stage, moment, spp=options.spp, seed=second)
+        write(target, layers)
+    target = folder / f"ref_{moment.frame:04d}.exr"
+    if moment.frame >= options.frames - options.references and not target.is_file():
+        reference = buffers.render_reference(stage, moment, spp=options.reference_spp, seed=exact)
+        write(target, {"color": reference})
+
+
+def write(path: Path, layers: dict[str, np.ndarray]) -> None:
+    """Write layers under their channel names, complete or not at all."""
     channels = {}
     for layer, names in _LAYERS.items():
         if layer in layers:
             planes = np.atleast_3d(layers[layer])
             channels.update({name: planes[..., i] for i, name in enumerate(names)})
-    return channels
+    write_channels(path, channels, formats={name: "float" for name in _FULL if name in channels})
 
 
-def _sensor(height: int, width: int) -> dict[str, Any]:
-    return {
-        "type": "perspective",
-        "fov": 60.0,
-        "fov_axis": "x",
-        "near_clip": 0.01,
-        "film": {
-            "type": "hdrfilm",
-            "width": width,
-            "height": height,
-            "pixel_format": "rgb",
-            "component_format": "float32",
-            "rfilter": {"type": "box"},
-        },
-        "sampler": {"type": "independent"},
-    }
+def _sweep(folder: Path) -> None:
+    """Delete what killed runs were writing; a worker beside this one writes for moments only."""
+    for part in folder.glob(".*.part"):
+        if time.time() - part.stat().st_mtime > _STALE:
+            part.unlink(missing_ok=True)
 
 
-def _room_camera(room: Room, rng: np.random.Generator) -> Camera:
-    x, y, z = room.size / 2
-    origin = rng.uniform([-x + 0.3, 0.5, -z + 0.3], [x - 0.3, 2 * y - 0.4, z - 0.3])
-    target = rng.uniform([-x, 0.2, -z], [x, 1.4, z])
-    roll = np.array([rng.normal() * 0.03, 1.0, 0.0])
-    return Camera(to_world=look_at(origin, target, roll), fov_x=float(rng.uniform(25, 80)))
-
-
-def _orbit_camera(home: Camera, distance: float, rng: np.random.Generator) -> Camera:
-    """The file's own camera, carried around and towards what it looks at."""
-    left, up, forward = home.to_world[:3, :3].T
-    pivot = home.to_world[:3, 3] + forward * distance
-    around, above = np.radians(rng.uniform(-35, 35)), np.radians(rng.uniform(-12, 18))
-    back = -(forward * np.cos(around) + left * np.sin(around)) * np.cos(above) + up * np.sin(above)
-    origin = pivot + back * distance * rng.uniform(0.4, 1.05)
-    target = pivot + (left * rng.normal() + up * rng.normal()) * 0.2 * distance
-    fov = float(np.clip(home.fov_x * rng.uniform(0.5, 1.1), 12, 90))
-    return Camera(to_world=look_at(origin, target, up), fov_x=fov)
-
-
-def _search_camera(mi: Any, source: OpenScene, rng: np.random.Generator) -> tuple[Camera, float]:
-    """Draw until the camera is clear of geometry and sees something; keep the best of 40.
-
-    Returns the camera and the median distance to what it sees.
-    """
-    best: tuple[float, Camera, float] | None = None
-    for _ in range(40):
-        camera = source.draw_camera(rng)
-        nearest, middle, seen = _distances(mi, source.scene, camera)
-        score = min(nearest / max(middle, 1e-9), SENSOR_CLEARANCE) * seen
-        if best is None or score > best[0]:
-            best = (score, camera, middle)
-        if nearest > SENSOR_CLEARANCE * middle and seen > 0.6:
-            break
-    assert best is not None
-    return best[1], best[2]
-
-
-def _distances(mi: Any, scene: Any, camera: Camera) -> tuple[float, float, float]:
-    """Nearest and median distance along a grid of camera rays, and the part that hits."""
-    import drjit as dr
-
-    grid = np.linspace(-0.95, 0.95, 9) * np.tan(np.radians(camera.fov_x) / 2)
-    x, y = (plane.ravel() for plane in np.meshgrid(grid, grid))
-    rays = np.stack([x, y, np.ones_like(x)], axis=-1)
-    rays = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)) @ camera.to_world[:3, :3].T
-    origin = camera.to_world[:3, 3]
-    if "scalar" in mi.variant():
-        distances = np.array(
-            [scene.ray_intersect(mi.Ray3f(origin.tolist(), ray.tolist())).t for ray in rays]
-        )
-    else:
-        hit = scene.ray_intersect(
-            mi.Ray3f(mi.Point3f(*origin.tolist()), mi.Vector3f(*rays.T.astype(np.float32)))
-        )
-        distances = np.array(dr.select(hit.is_valid(), hit.t, np.inf))
-    finite = distances[np.isfinite(distances)]
-    if finite.size == 0:
-        return 0.0, 1.0, 0.0
-    return float(finite.min()), float(np.median(finite)), finite.size / distances.size
+def _jitter(frame: int) -> np.ndarray:
+    """Halton points of bases 2 and 3 in [-0.5, 0.5), the usual choice for upscaling."""
+    point = []
+    for base in (2, 3):
+        value, fraction, index = 0.0, 1.0, frame + 1
+        while index > 0:
+            fraction /= base
+            value += fraction * (index % base)
+            index //= base
+        point.append(value - 0.5)
+    return np.array(point)

@@ -1,4 +1,4 @@
-"""Choosing the Mitsuba variant safely.
+"""Choosing the Mitsuba variant safely: CUDA where a device is there, else LLVM, else scalar.
 
 ``llvm_ad_rgb`` aborts the whole process on the ``aov`` integrator with LLVM 14 and 15 (measured
 with Mitsuba 3.9.1), and an abort cannot be caught. So LLVM is used only where a library of a
@@ -12,6 +12,8 @@ import os
 import re
 from pathlib import Path
 from typing import Any
+
+from stillray.errors import InputError
 
 MIN_LLVM_MAJOR = 16
 _LLVM_NAME = re.compile(r"libLLVM(?:-|\.so\.)(\d+)")
@@ -41,13 +43,18 @@ def load_mitsuba(variant: str | None = None) -> tuple[Any, str]:
     Parameters
     ----------
     variant
-        A Mitsuba variant by name; None chooses ``llvm_ad_rgb`` where a working LLVM is found,
-        else ``scalar_rgb``.
+        A Mitsuba variant by name; None chooses ``cuda_ad_rgb`` where a device is found, else
+        ``llvm_ad_rgb`` where a working LLVM is, else ``scalar_rgb``.
 
     Returns
     -------
     module, str
         Mitsuba, and one sentence that says which variant runs and why.
+
+    Raises
+    ------
+    InputError
+        There is no such variant, or it cannot run here.
     """
     library = find_llvm()
     if library:
@@ -55,11 +62,31 @@ def load_mitsuba(variant: str | None = None) -> tuple[Any, str]:
     import mitsuba as mi
 
     if variant is None:
-        variant = "llvm_ad_rgb" if library else "scalar_rgb"
-    reason = f"with {library}" if library else f"no LLVM of version {MIN_LLVM_MAJOR} or later found"
+        variant, reason = _choose(library)
+    elif variant not in mi.variants():
+        raise InputError(f"variant must be of {', '.join(mi.variants())}, got {variant}")
+    elif variant.startswith("llvm") and not library:
+        raise InputError(
+            f"variant {variant} needs LLVM {MIN_LLVM_MAJOR} or later (Debian: libllvm19), "
+            "found none"
+        )
+    else:
+        reason = "as asked"
     if mi.variant() != variant:
         mi.set_variant(variant)
+    mi.set_log_level(mi.LogLevel.Error)
     return mi, f"Mitsuba {mi.__version__} {variant}, {reason}"
+
+
+def _choose(library: str | None) -> tuple[str, str]:
+    import drjit as dr
+
+    if dr.has_backend(dr.JitBackend.CUDA):
+        return "cuda_ad_rgb", "a CUDA device is there"
+    if library:
+        return "llvm_ad_rgb", f"with {library}"
+    reason = f"no LLVM of version {MIN_LLVM_MAJOR} or later found: several times slower"
+    return "scalar_rgb", reason
 
 
 def _major(name: str) -> int:
