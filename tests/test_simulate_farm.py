@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -55,9 +56,12 @@ def scheduler(tmp_path):
         "--scheduler-file",
         str(contact),
     )
-    wait_for(contact.is_file)
-    import json
 
+    def announced():
+        # the file is there before it is written
+        return contact.is_file() and contact.read_text().rstrip().endswith("}")
+
+    wait_for(announced)
     address = json.loads(contact.read_text())["address"]
     workers = [
         start(
