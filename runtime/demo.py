@@ -65,7 +65,7 @@ def run(sequence: Path, out: Path, model: str) -> None:
 def main(
     sequence: Annotated[Path, typer.Argument(help="Folder with frame_*.exr and ref_*.exr.")],
     out: Annotated[Path, typer.Argument(help="Where the results go.")],
-    model: Annotated[str, typer.Option(help="Quality, model name or .onnx.")] = "balanced",
+    model: Annotated[str, typer.Option(help="Quality, model name or .onnx.")] = "high",
 ) -> None:
     """Denoise a sequence that has a reference, and show what came of it."""
     run(sequence, out, model)
