@@ -37,7 +37,7 @@ from stillray.training.simulate.farm import default_workers, run_farm, run_here
 from stillray.training.simulate.jobs import Job
 from stillray.training.simulate.recipe import read_recipe
 from stillray.training.simulate.report import write_report
-from stillray.training.simulate.sequence import SequenceOptions
+from stillray.training.simulate.sequence import SequenceOptions, open_world
 from stillray.training.simulate.variant import load_mitsuba
 
 _DEFAULT = SequenceOptions()
@@ -177,7 +177,7 @@ def _explain(jobs: list[Job], variant: str | None) -> None:
         return
     counts: Counter[str] = Counter()
     for job in jobs:
-        counts.update({name: job.views for name in job.plan(mi).effects})
+        counts.update({name: job.views for name in job.asks(open_world(mi, job.scene, job.seed))})
     total = sum(job.views for job in jobs)
     console.print(f"{total} sequences of {len(jobs)} scenes; sequences per effect:")
     for name in EFFECTS:

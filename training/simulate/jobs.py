@@ -19,6 +19,7 @@ from stillray.training.simulate.sequence import (
     render_sequence,
 )
 from stillray.training.simulate.stage import Stage
+from stillray.training.simulate.world import World
 
 _VIEWS = 64  # sequence seeds of one scene seed lie together
 
@@ -59,9 +60,13 @@ class Job:
     def plan(self, mi: Any) -> Plan:
         """Open the scene and decide what is simulated in it."""
         world = open_world(mi, self.scene, self.seed)
+        return make_plan(world, self.asks(world), self.options.wants())
+
+    def asks(self, world: World) -> tuple[str, ...]:
+        """The effects it asks for in its world."""
         names = world.effects if self.effects is None else self.effects
-        can = tuple(n for n in self.also if n in names or EFFECTS[n].missing(world) is None)
-        return make_plan(world, (*names, *can), self.options.wants())
+        can = [n for n in self.also if n in names or EFFECTS[n].missing(world) is None]
+        return check_names((*names, *can))
 
 
 def run_job(
