@@ -14,7 +14,6 @@ import sys
 import time
 from collections.abc import Callable
 from importlib.metadata import version
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,9 +27,9 @@ from stillray.cli import program
 from stillray.denoiser import Denoiser
 from stillray.exr import atomic_path, read_exr
 from stillray.frame import Frame
-from stillray.models_spec import ModelSpec
 from stillray.registry import find_model, list_models
 from stillray.strips import available_threads
+from stillray.training.operations import multiply_adds
 from stillray.training.peers import OIDN_QUALITIES, open_image_denoise
 
 SEQUENCE = Path("tests/data/room")
@@ -165,13 +164,6 @@ def machine_peaks() -> tuple[float, float]:
     return 2e-9 * 2048**3 / min(products), 2e-9 * big.nbytes / min(copies)
 
 
-def network_gflop(spec: ModelSpec, pixels: int) -> float:
-    """Operations of a fused network, two for every multiply and add."""
-    widths = (len(spec.network.features), *spec.network.widths, 2 * len(spec.decoder.kernel_sizes))
-    products = sum(a * b for a, b in pairwise(widths)) * spec.network.kernel_size**2
-    return 2e-9 * products * pixels
-
-
 def write_report(
     times: dict[str, list[float]],
     stages: list[dict[str, Any]],
@@ -209,16 +201,23 @@ def write_report(
             f"| {paired(name, 'OIDN fast'):.2f} | {paired(name, 'OIDN high'):.2f} "
             f"| {peaks[name]:.0f} | {peaks[name] - peaks[NOTHING]:.0f} |"
         )
-    names = list(stages[0])[1:]
+    # the most stages first, so that each stage comes in its place
+    longest = sorted(stages, key=len, reverse=True)
+    names = [name for name in dict.fromkeys(n for row in longest for n in row) if name != "model"]
     lines += ["", "Median milliseconds of each stage:", ""]
     lines += ["| model | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
     for row in stages:
-        lines.append(f"| {row['model']} | " + " | ".join(f"{row[n]:.1f}" for n in names) + " |")
+        cells = (f"{row[name]:.1f}" if name in row else "" for name in names)
+        lines.append(f"| {row['model']} | " + " | ".join(cells) + " |")
     floors = [
         4e-6 * STAGE_PLANES[n] * height * width / bandwidth if n in STAGE_PLANES else 0.0
         for n in names
     ]
-    lines.append("| memory alone | " + " | ".join(f"{f:.1f}" if f else "" for f in floors) + " |")
+    lines.append(
+        "| memory alone, six kernels | "
+        + " | ".join(f"{f:.1f}" if f else "" for f in floors)
+        + " |"
+    )
     lines += [
         "",
         "Memory alone: what a stage has to read and write, over the copy's rate; "
@@ -226,7 +225,8 @@ def write_report(
     ]
     lines += ["", "The network against its floor, operations over the matrix product's rate:", ""]
     for row in stages:
-        work = network_gflop(find_model(row["model"]).spec, height * width)
+        # two operations for every multiply and add
+        work = 2e-9 * multiply_adds(find_model(row["model"]).path, height, width)
         floor = 1e3 * work / gflops
         lines.append(
             f"- {row['model']}: {work:.1f} GFLOP, floor {floor:.0f} ms, "
