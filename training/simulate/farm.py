@@ -17,7 +17,7 @@ from stillray.errors import InputError
 from stillray.training.simulate.jobs import Job, run_job
 from stillray.training.simulate.variant import load_mitsuba
 
-_WORKER_MEMORY = 3 << 30  # bytes that one worker may need: about 2 at 256x256, with room
+_WORKER_MEMORY = 3 << 30  # bytes set aside for a worker: a guess with room, not a measured peak
 
 Failures = dict[str, str]  # job name to the reason
 

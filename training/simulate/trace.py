@@ -13,7 +13,7 @@ import numpy as np
 
 from stillray.training.simulate.stage import HULL, Stage
 
-_LANES = 1 << 22  # samples a launch: bounds the memory, about 1.5 GB
+_LANES = 1 << 22  # samples a launch: bounds the memory
 _LOBE_SAMPLES = 8  # directions that estimate a specular albedo
 
 Samples = dict[str, np.ndarray]
