@@ -152,6 +152,17 @@ def test_result_stays_in_the_range_of_the_input_of_its_window(
             assert (image[y, x] <= high[window].max((0, 1)) * (1 + ROUNDING)).all()
 
 
+def test_a_still_camera_keeps_its_picture_and_its_light(denoiser):
+    truth = clean_color(48, 64)
+    quality = []
+    for index in range(40):
+        image = denoiser.denoise(make_frame(48, 64, index))
+        quality.append(_psnr(image, truth))
+    assert min(quality[20:]) > quality[0] + 2  # what is fed back neither drifts nor blurs away
+    # outlier weights and a loss that leads to medians both take a little light
+    assert image.mean() == pytest.approx(truth.mean(), rel=0.05)
+
+
 def test_reset_gives_the_first_frame_again(denoiser):
     first = denoiser.denoise(make_frame(33, 18, 0))
     second = denoiser.denoise(make_frame(33, 18, 0))
