@@ -29,15 +29,15 @@ JOBS = [
 
 
 @pytest.fixture
-def scheduler(tmp_path):
-    """A scheduler and two workers as processes of their own: address and workers."""
+def start():
+    """Starts processes of Dask, which end with the test."""
     processes = []
 
-    def start(*args):
+    def run(*args):
         environment = {**os.environ, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "10s"}
         processes.append(
             subprocess.Popen(
-                [sys.executable, "-m", "distributed.cli." + args[0], *args[1:]],
+                [sys.executable, "-m", "distributed.cli." + args[0], *args[1:], "--no-dashboard"],
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 env=environment,
@@ -45,17 +45,17 @@ def scheduler(tmp_path):
         )
         return processes[-1]
 
+    yield run
+    for process in processes:
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture
+def scheduler(start, tmp_path):
+    """A scheduler and two workers as processes of their own: address and workers."""
     contact = tmp_path / "scheduler.json"
-    start(
-        "dask_scheduler",
-        "--port",
-        "0",
-        "--host",
-        "127.0.0.1",
-        "--no-dashboard",
-        "--scheduler-file",
-        str(contact),
-    )
+    start("dask_scheduler", "--port", "0", "--host", "127.0.0.1", "--scheduler-file", str(contact))
 
     def announced():
         # the file is there before it is written
@@ -63,23 +63,12 @@ def scheduler(tmp_path):
 
     wait_for(announced)
     address = json.loads(contact.read_text())["address"]
+    options = ("--nthreads", "1", "--no-nanny")
     workers = [
-        start(
-            "dask_worker",
-            address,
-            "--nthreads",
-            "1",
-            "--no-nanny",
-            "--no-dashboard",
-            "--local-directory",
-            str(tmp_path / f"worker{index}"),
-        )
-        for index in range(2)
+        start("dask_worker", address, *options, "--local-directory", str(tmp_path / f"worker{i}"))
+        for i in range(2)
     ]
-    yield address, workers
-    for process in processes:
-        process.kill()
-        process.wait()
+    return address, workers
 
 
 def wait_for(condition, seconds: float = 60.0) -> None:
