@@ -10,7 +10,9 @@ from stillray.reproject import positions_of
 from stillray.strips import Strips
 from stillray.timing import timed
 
-_LEAST_VALID = np.float32(1e-3)  # of a tap: below, light fades instead of being normalised
+# Shares of the four taps that lie in the frame: below the first, light fades instead of being
+# normalised; above the second, only rounding is missing.
+_LEAST_VALID, _WHOLE = np.float32(1e-3), np.float32(1 - 1e-3)
 
 
 def recalled(
@@ -60,7 +62,9 @@ def recall(output: np.ndarray, motion: np.ndarray, strips: Strips) -> np.ndarray
             output, positions, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
         )
         # at the border of the frame: the mean of the taps that there are
-        taken[..., :3] /= np.maximum(taken[..., 3:], _LEAST_VALID)
+        valid = taken[..., 3]
+        border = np.nonzero((valid > 0) & (valid < _WHOLE))
+        taken[(*border, slice(3))] /= np.maximum(valid[border], _LEAST_VALID)[:, None]
         past[rows] = taken
 
     strips.run(work, height, width)
