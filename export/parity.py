@@ -25,7 +25,9 @@ from stillray.training.networks.repvgg import by_branches
 
 SIZES = ((33, 18), (1, 1), (3, 5), (64, 97))  # height, width; rounded up to what the family takes
 #: Channels of the arrays that decoders take.
-CHANNELS = {"irradiance": 3, "samples": 1, "divisor": 3, "previous": 3, "valid": 1}
+CHANNELS = {
+    "irradiance": 3, "samples": 1, "new": 3, "worth": 1, "divisor": 3, "previous": 3, "valid": 1,
+}  # fmt: skip
 # Sums of a few hundred float32 products, in other orders: relative to the largest value.
 NETWORK_TOLERANCE = 2e-5
 # A logit's error of 1e-5 moves an importance by as much, and the result by no more.
@@ -110,6 +112,8 @@ def random_arrays(rng: np.random.Generator, height: int, width: int) -> dict[str
     arrays = {
         "irradiance": rng.lognormal(0, 2, of("irradiance")),
         "samples": rng.uniform(0.01, 16, of("samples")),
+        "new": rng.lognormal(0, 3, of("new")),
+        "worth": rng.uniform(1e-6, 1, of("worth")),
         "divisor": rng.uniform(0.1, 1, of("divisor")),
         "previous": rng.lognormal(0, 2, of("previous")),
         "valid": rng.uniform(0, 1, of("valid")),
@@ -150,7 +154,13 @@ def _in_runtime(
         return kernels.filter_rows(mean, logits[0], slice(0, mean.shape[0]), spec.decoder)
     previous = interleaved("previous", "valid")
     return pyramid.filter_pyramid(
-        mean, interleaved("divisor"), previous, logits, spec.decoder, Strips(1)
+        mean,
+        interleaved("new", "worth"),
+        interleaved("divisor"),
+        previous,
+        logits,
+        spec.decoder,
+        Strips(1),
     )
 
 

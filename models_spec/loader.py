@@ -23,8 +23,10 @@ FORMAT = 1
 
 #: Every network input plane by name, in the order that `stillray.encode` describes them.
 FEATURES = (
-    "irradiance.r", "irradiance.g", "irradiance.b", "local_luminance", "samples",
-    "albedo.r", "albedo.g", "albedo.b", "normal.x", "normal.y", "normal.z", "depth",
+    "irradiance.r", "irradiance.g", "irradiance.b", "irradiance.luminance",
+    "sample.luminance", "local_luminance", "samples",
+    "albedo.r", "albedo.g", "albedo.b", "albedo.luminance",
+    "normal.x", "normal.y", "normal.z", "depth",
     "previous.r", "previous.g", "previous.b", "previous.valid",
 )  # fmt: skip
 BUFFERS = ("color", "albedo", "normal", "depth", "motion", "color_b", "jitter")

@@ -127,6 +127,7 @@ class Denoiser:
         """
         self.last_timings = {}
         spec = self.model.spec
+        family = FAMILIES[spec.family]
         prepared = prepare(
             frame,
             spec,
@@ -134,10 +135,10 @@ class Denoiser:
             self._strips,
             self.last_timings,
             temporal=self.temporal,
+            wants_sample=family.renews,
             kept=self._kept,
             spare=self._spare,
         )
-        family = FAMILIES[spec.family]
         previous: np.ndarray | None = None
         if family.recalls and self.temporal:
             previous = recall.recalled(self._history, prepared, self._strips, self.last_timings)
@@ -175,6 +176,7 @@ class Denoiser:
                 prepared.history.exposure,
                 spec.temporal,
                 spec.network.features,
+                sample=prepared.luminance[rows],
                 albedo=None if prepared.albedo is None else prepared.albedo[rows],
                 normal=None if normal is None else normal[rows],
                 depth=None if depth is None else depth[rows],

@@ -108,6 +108,7 @@ def feature_planes(
     temporal: Temporal,
     features: Sequence[str],
     *,
+    sample: np.ndarray,
     albedo: np.ndarray | None,
     normal: np.ndarray | None,
     depth: np.ndarray | None,
@@ -129,6 +130,8 @@ def feature_planes(
         Its ``max_samples`` scales the samples' plane.
     features
         Names of the planes, of `stillray.models_spec.loader.FEATURES`.
+    sample : (h, w) float32
+        Luminance of this frame's irradiance.
     albedo, normal, depth
         Features of the frame; planes of one that is missing are filled with 0.
     depth_unit
@@ -145,6 +148,16 @@ def feature_planes(
         if (target := plane.get(f"irradiance.{name}")) is not None:
             # the square root opens the dark end of [0, 1], as a display gamma does
             np.sqrt(tone_map(light, exposure, out=target), out=target)
+    if (target := plane.get("irradiance.luminance")) is not None:
+        light = luminance(mean, out=target)
+        np.sqrt(tone_map(light, exposure, out=target), out=target)
+    if (target := plane.get("sample.luminance")) is not None:
+        np.sqrt(tone_map(sample, exposure, out=target), out=target)
+    if (target := plane.get("albedo.luminance")) is not None:
+        if albedo is None:
+            target.fill(0)
+        else:
+            luminance(albedo, out=target)
     if (target := plane.get("local_luminance")) is not None:
         np.sqrt(local, out=target)
     if (target := plane.get("samples")) is not None:

@@ -29,6 +29,8 @@ class Family:
         Pixels from which light can come to a pixel, to each side, in one frame.
     recalls
         Whether the previous output is used.
+    renews
+        Whether this frame's sample is used beside what was accumulated.
     method
         What the reconstruction does, in a few words.
     """
@@ -47,6 +49,7 @@ class Family:
     multiple: Callable[[ModelSpec], int]
     reach: Callable[[ModelSpec], int]
     recalls: bool
+    renews: bool
     method: Callable[[ModelSpec], str]
 
 
@@ -57,6 +60,7 @@ FAMILIES = {
         lambda spec: 1,
         kernels.reach,
         recalls=False,
+        renews=False,
         method=kernels.method,
     ),
     "kernel-pyramid": Family(
@@ -64,6 +68,7 @@ FAMILIES = {
         pyramid.multiple,
         pyramid.reach,
         recalls=True,
+        renews=True,
         method=pyramid.method,
     ),
 }

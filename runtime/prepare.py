@@ -49,6 +49,11 @@ class Prepared:
     ----------
     history
         The history after this frame; its ``mean`` is what the kernels filter.
+    sample : (h, w, 4) float32 or None
+        This frame's irradiance and, last, what its samples are worth; None where it was not asked
+        for, or where there is no past: it is the ``mean`` then.
+    luminance : (h, w) float32
+        Luminance of this frame's irradiance.
     divisor : (h, w, 3) float32 or None
         What radiance was divided by; None where there is no albedo.
     local : (h, w) float32
@@ -62,6 +67,8 @@ class Prepared:
     """
 
     history: History
+    sample: np.ndarray | None
+    luminance: np.ndarray
     divisor: np.ndarray | None
     local: np.ndarray
     albedo: np.ndarray | None
@@ -79,6 +86,7 @@ def prepare(
     timings: dict[str, float],
     *,
     temporal: bool = True,
+    wants_sample: bool = False,
     kept: Scratch | None = None,
     spare: History | None = None,
 ) -> Prepared:
@@ -98,6 +106,8 @@ def prepare(
         Stage name to milliseconds, filled in.
     temporal
         Whether a next frame will want this one's geometry.
+    wants_sample
+        Whether the result's ``sample`` is wanted.
     kept
         Where the result lies, all but its history, until the next call with the same; None for
         arrays of its own.
@@ -130,6 +140,9 @@ def prepare(
         guides = np.empty((*shape, 4), np.float32) if spare is None else spare.guides
         guides = np.empty((*shape, 4), np.float32) if guides is None else guides
     mean = np.empty((*shape, 4), np.float32) if spare is None else spare.mean
+    moves = history is not None and buffers.motion is not None
+    sample = kept.array("sample", (*shape, 4)) if wants_sample and moves else None
+    accumulated = kept.array("accumulated", shape) if moves else luminance
     rough = None
     if history is not None and buffers.motion is not None:
         with timed(timings, "warp"):
@@ -157,10 +170,12 @@ def prepare(
         if past is None:
             cv2.merge([irradiance, weight], dst=mean[rows])
             return
+        if sample is not None:
+            cv2.merge([irradiance, weight], dst=sample[rows])
         planes = planes_of(past, out=scratch.array("mean", (4, *weight.shape)))
         acc.accumulate(irradiance, weight, planes, spec.temporal, scratch)
         interleave(planes, out=mean[rows])
-        encode.luminance_of_planes(planes, out=luminance[rows])
+        encode.luminance_of_planes(planes, out=accumulated[rows])
 
     with timed_pass(timings) as part:
 
@@ -182,11 +197,13 @@ def prepare(
                 accumulate(rows, past, scratch)
 
         strips.run(work, *shape)
-    if history is not None and buffers.motion is not None:
+    if moves:
         with timed(timings, "accumulate"):
-            _local_luminance(luminance, exposure, local, spec, strips)
+            _local_luminance(accumulated, exposure, local, spec, strips)
     return Prepared(
         history=History(mean=mean, guides=guides, exposure=exposure),
+        sample=sample,
+        luminance=luminance,
         divisor=divide_by,
         local=local,
         albedo=buffers.albedo,

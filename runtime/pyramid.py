@@ -42,12 +42,16 @@ class LevelLayout:
     resolve
         At the finest level the eight `NEIGHBOURS` and the previous output, against the pixel
         itself at logit 0; empty elsewhere.
+    renew
+        At the finest level how much this frame's sample counts beside what was accumulated, which
+        holds it already; empty elsewhere.
     """
 
     importance: slice
     pool: slice
     blend: slice
     resolve: slice
+    renew: slice
 
 
 def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayout:
@@ -59,14 +63,15 @@ def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayou
         0 if coarsest else 1,
         kernels if coarsest else kernels + 1,
         len(NEIGHBOURS) + 1 if level == 0 else 0,
+        1 if level == 0 else 0,
     )
-    starts = [sum(counts[:index]) for index in range(5)]
+    starts = [sum(counts[:index]) for index in range(len(counts) + 1)]
     return LevelLayout(*(slice(a, b) for a, b in pairwise(starts)))
 
 
 def level_logits(level: int, levels: int, options: PyramidKernels) -> int:
     """Planes that the network gives at a level, 0 being the finest."""
-    return level_layout(level, levels, options).resolve.stop
+    return level_layout(level, levels, options).renew.stop
 
 
 def multiple(spec: ModelSpec) -> int:
@@ -102,12 +107,19 @@ def reconstruct(
     assert isinstance(spec.decoder, PyramidKernels)
     with timed(timings, "reconstruct"):
         return filter_pyramid(
-            prepared.history.mean, prepared.divisor, previous, outputs, spec.decoder, strips
+            prepared.history.mean,
+            prepared.sample,
+            prepared.divisor,
+            previous,
+            outputs,
+            spec.decoder,
+            strips,
         )
 
 
 def filter_pyramid(
     mean: np.ndarray,
+    sample: np.ndarray | None,
     divisor: np.ndarray | None,
     previous: np.ndarray | None,
     logits: Sequence[np.ndarray],
@@ -120,6 +132,8 @@ def filter_pyramid(
     ----------
     mean : (h, w, 4) float32
         Irradiance, >= 0 and finite; and the samples that each pixel holds, > 0.
+    sample : (h, w, 4) float32 or None
+        This frame's irradiance and what its samples are worth, > 0; None for that of ``mean``.
     divisor : (h, w, 3) float32 or None
         What radiance was divided by.
     previous : (h, w, 4) float32 or None
@@ -135,8 +149,8 @@ def filter_pyramid(
     Returns
     -------
     (h, w, 3) float32
-        Radiance: for every pixel a convex combination of accumulated irradiance around it, times
-        the divisors of its 3x3 neighbours, and of the previous output.
+        Radiance: for every pixel a convex combination of the irradiance around it, accumulated
+        and new, times the divisors of its 3x3 neighbours, and of the previous output.
     """
     if any(np.isnan(level.max()) for level in logits):  # a NaN logit says nothing: 0
         logits = [np.nan_to_num(level, nan=0.0) for level in logits]
@@ -146,8 +160,11 @@ def filter_pyramid(
         full - size for full, size in zip(logits[0].shape[1:], mean.shape, strict=False)
     )
     if bottom or right:
-        mean = cv2.copyMakeBorder(mean, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
-    pyramid = [_planes(mean, strips)]
+        border = (0, bottom, 0, right, cv2.BORDER_REPLICATE)
+        sample = None if sample is None else cv2.copyMakeBorder(sample, *border)
+        mean = cv2.copyMakeBorder(mean, *border)
+    finest = level_layout(0, levels, options)
+    pyramid = [_renewed(mean, sample, logits[0][finest.renew][0], options, strips)]
     for level in range(levels - 1):
         pool = logits[level][level_layout(level, levels, options).pool][0]
         pyramid.append(_pool(pyramid[-1], pool, options, strips))
@@ -164,7 +181,6 @@ def filter_pyramid(
             )
         )
     image = np.empty((height, width, 3), np.float32)
-    finest = level_layout(0, levels, options)
 
     def finish(rows: slice) -> None:
         # the resolve looks one pixel around; at the border of the frame that is repeated
@@ -200,14 +216,40 @@ def filter_pyramid(
     return image
 
 
-def _planes(mean: np.ndarray, strips: Strips) -> np.ndarray:
-    """Light and samples as ``(4, h, w)``."""
+def _renewed(
+    mean: np.ndarray,
+    sample: np.ndarray | None,
+    renew: np.ndarray,
+    options: PyramidKernels,
+    strips: Strips,
+) -> np.ndarray:
+    """Light and samples as ``(4, h, w)``: what was accumulated, with more of the new sample.
+
+    A past that no longer holds (a mirror's picture moves otherwise than the mirror, a shadow
+    passes over a surface that stays) is known to the network, not to the geometry.
+    """
     planes = np.empty((4, *mean.shape[:2]), np.float32)
 
     def work(rows: slice) -> None:
-        count = rows.stop - rows.start
-        part = strips.scratch.array("mean", (4, count, mean.shape[1]))
-        planes[:, rows] = planes_of(mean[rows], out=part)
+        scratch = strips.scratch
+        shape = (rows.stop - rows.start, mean.shape[1])
+        part = planes_of(mean[rows], out=scratch.array("mean", (4, *shape)))
+        if sample is not None:
+            new = planes_of(sample[rows], out=scratch.array("new", (4, *shape)))
+            more, total = scratch.array("more", shape), scratch.array("total", shape)
+            _bounded_exp(renew[rows], options, more)
+            held = np.add(more, 1, out=scratch.array("held", shape))
+            more *= new[3]
+            np.add(part[3], more, out=total)
+            np.divide(total, held, out=held)
+            more /= total
+            # two products, since a difference would cancel where a firefly meets a dark past
+            part[3] /= total
+            for light, fresh in zip(part[:3], new, strict=False):
+                light *= part[3]
+                cv2.accumulateProduct(fresh, more, light)
+            part[3] = held
+        planes[:, rows] = part
 
     strips.run(work, *mean.shape[:2])
     return planes

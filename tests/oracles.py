@@ -76,6 +76,7 @@ def reproject(
 
 def kernel_pyramid(
     mean: np.ndarray,
+    sample: np.ndarray,
     divisor: np.ndarray,
     previous: np.ndarray,
     logits: list[np.ndarray],
@@ -87,8 +88,15 @@ def kernel_pyramid(
     height, width = mean.shape[:2]
     full = weights[0].shape[1:]
     padding = [(0, full[axis] - mean.shape[axis]) for axis in (0, 1)]
-    padded = np.pad(mean.astype(np.float64), [*padding, (0, 0)], mode="edge")
-    light, held = padded[..., :3], padded[..., 3]
+    padded, new = (
+        np.pad(image.astype(np.float64), [*padding, (0, 0)], mode="edge")
+        for image in (mean, sample)
+    )
+    light, held = np.zeros_like(padded[..., :3]), np.zeros(full)
+    for y, x in np.ndindex(*full):
+        parts = [padded[y, x, 3], weights[0][-1, y, x] * new[y, x, 3]]
+        light[y, x] = np.average([padded[y, x, :3], new[y, x, :3]], axis=0, weights=parts)
+        held[y, x] = sum(parts) / (1 + weights[0][-1, y, x])
     pyramid = [(light, held)]
     for level in range(levels - 1):
         light, held = pyramid[-1]
@@ -128,11 +136,11 @@ def kernel_pyramid(
     around = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
     for y, x in np.ndindex(height, width):
         choices = [radiance[y, x], previous[y, x, :3].astype(np.float64)]
-        shares = [1.0, weights[0][-1, y, x] * previous[y, x, 3]]
+        shares = [1.0, weights[0][-2, y, x] * previous[y, x, 3]]
         for index, (down, right) in enumerate(around):
             at = min(max(y + down, 0), height - 1), min(max(x + right, 0), width - 1)
             choices.append(radiance[at])
-            shares.append(weights[0][-9 + index, y, x])
+            shares.append(weights[0][-10 + index, y, x])
         resolved[y, x] = np.average(choices, axis=0, weights=shares)
     return resolved
 

@@ -24,7 +24,8 @@ def test_features_do_not_change_with_the_scene_s_exposure(scale, spec, rng):
 def _planes(mean, local, exposure, spec, depth=None):
     out = np.zeros((len(FEATURES), *local.shape), np.float32)
     encode.feature_planes(
-        mean, local, exposure, spec.temporal, FEATURES, albedo=None, normal=None, depth=depth,
+        mean, local, exposure, spec.temporal, FEATURES, sample=encode.luminance(mean),
+        albedo=None, normal=None, depth=depth,
         depth_unit=1.0 if depth is None else encode.depth_scale(depth), out=out,
     )  # fmt: skip
     return out
@@ -69,19 +70,30 @@ def test_every_feature_lands_in_the_plane_of_its_name(spec, rng):
     mean = rng.random((4, 5, 4)).astype(np.float32)
     albedo, normal = rng.random((2, 4, 5, 3)).astype(np.float32)
     local = np.full((4, 5), 0.25, np.float32)
-    asked = ("normal.z", "samples", "albedo.g", "local_luminance", "irradiance.b")
+    sample = rng.random((4, 5)).astype(np.float32)
+    asked = (
+        "normal.z", "samples", "albedo.g", "local_luminance", "irradiance.b", "sample.luminance",
+        "irradiance.luminance", "albedo.luminance",
+    )  # fmt: skip
     out = np.full((len(asked), 4, 5), np.nan, np.float32)
     encode.feature_planes(
-        mean, local, 2.0, spec.temporal, asked, albedo=albedo, normal=normal, depth=None,
-        depth_unit=1.0, out=out,
+        mean, local, 2.0, spec.temporal, asked, sample=sample, albedo=albedo, normal=normal,
+        depth=None, depth_unit=1.0, out=out,
     )  # fmt: skip
-    exposed = 2 * mean[..., 2]
+
+    def shown(light):
+        return np.sqrt(2 * light / (1 + 2 * light))
+
+    rec709 = np.array([0.2126, 0.7152, 0.0722])
     samples = mean[..., 3]
     expected = [
         normal[..., 2],
         np.sqrt(samples / (samples + spec.temporal.max_samples / 4)),
         albedo[..., 1],
         np.full((4, 5), 0.5),
-        np.sqrt(exposed / (1 + exposed)),
+        shown(mean[..., 2]),
+        shown(sample),
+        shown(mean[..., :3] @ rec709),
+        albedo @ rec709,
     ]
     np.testing.assert_allclose(out, expected, rtol=1e-5)

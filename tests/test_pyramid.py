@@ -13,12 +13,15 @@ LEVELS = 3  # what is tested holds for any number; three keep the oracle quick
 
 
 def draw(height, width, seed=0, spread=2.0):
-    """Random decoder input: mean, divisor, previous output, logits of the padded size."""
+    """Random decoder input: mean, sample, divisor, previous output, logits of the padded size."""
     rng = np.random.default_rng(seed)
     step = 1 << (LEVELS - 1)
     padded = [-(-size // step) * step for size in (height, width)]
     mean = np.dstack(
         [rng.lognormal(0, 2, (height, width, 3)), rng.uniform(1e-3, 16, (height, width))]
+    )
+    sample = np.dstack(
+        [rng.lognormal(0, 3, (height, width, 3)), rng.uniform(1e-6, 1, (height, width))]
     )
     divisor = rng.uniform(0.1, 1, (height, width, 3))
     previous = np.dstack(
@@ -31,60 +34,78 @@ def draw(height, width, seed=0, spread=2.0):
         * spread
         for level in range(LEVELS)
     ]
-    single = [array.astype(np.float32) for array in (mean, divisor, previous)]
+    single = [array.astype(np.float32) for array in (mean, sample, divisor, previous)]
     return (*single, [level.astype(np.float32) for level in logits])
 
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (3, 5), (9, 14), (16, 8)])
 @pytest.mark.parametrize("spread", [2.0, 1e4])
 def test_pyramid_equals_the_loop_oracle(height, width, spread):
-    mean, divisor, previous, logits = draw(height, width, spread=spread)
-    got = pyramid.filter_pyramid(mean, divisor, previous, logits, OPTIONS, Strips(1))
-    expected = oracles.kernel_pyramid(mean, divisor, previous, logits, OPTIONS)
+    mean, sample, divisor, previous, logits = draw(height, width, spread=spread)
+    got = pyramid.filter_pyramid(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
+    expected = oracles.kernel_pyramid(mean, sample, divisor, previous, logits, OPTIONS)
     # float32 sums of at most 25 products at each of three levels
     np.testing.assert_allclose(got, expected, rtol=5e-6)
 
 
 def test_threads_and_strips_do_not_change_the_picture():
-    mean, divisor, previous, logits = draw(150, 70)
-    one = pyramid.filter_pyramid(mean, divisor, previous, logits, OPTIONS, Strips(1))
-    three = pyramid.filter_pyramid(mean, divisor, previous, logits, OPTIONS, Strips(3))
+    mean, sample, divisor, previous, logits = draw(150, 70)
+    one = pyramid.filter_pyramid(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
+    three = pyramid.filter_pyramid(mean, sample, divisor, previous, logits, OPTIONS, Strips(3))
     np.testing.assert_array_equal(one, three)
 
 
 def test_constant_light_stays_constant_whatever_the_logits():
-    mean, _, previous, logits = draw(33, 18, spread=50)
-    mean[..., :3] = previous[..., :3] = 3.7
-    got = pyramid.filter_pyramid(mean, None, previous, logits, OPTIONS, Strips(1))
+    mean, sample, _, previous, logits = draw(33, 18, spread=50)
+    mean[..., :3] = sample[..., :3] = previous[..., :3] = 3.7
+    got = pyramid.filter_pyramid(mean, sample, None, previous, logits, OPTIONS, Strips(1))
     np.testing.assert_allclose(got, 3.7, rtol=1e-5)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_no_light_is_invented(seed):
-    mean, _, previous, logits = draw(33, 18, seed, spread=20)
+    mean, sample, _, previous, logits = draw(33, 18, seed, spread=20)
     mean[5, 5, :3] = 1e30
-    got = pyramid.filter_pyramid(mean, None, previous, logits, OPTIONS, Strips(1))
-    both = np.concatenate([mean[..., :3].reshape(-1, 3), previous[..., :3].reshape(-1, 3)])
+    got = pyramid.filter_pyramid(mean, sample, None, previous, logits, OPTIONS, Strips(1))
+    both = np.concatenate([part[..., :3].reshape(-1, 3) for part in (mean, sample, previous)])
     assert np.isfinite(got).all()
     assert (got >= both.min(0) * (1 - 1e-5)).all()
     assert (got <= both.max(0) * (1 + 1e-5)).all()
 
 
 def test_a_logit_that_is_not_a_number_says_nothing():
-    mean, divisor, previous, logits = draw(9, 14)
+    mean, sample, divisor, previous, logits = draw(9, 14)
     logits[1][2, 1, 1] = np.nan
     zero = [level.copy() for level in logits]
     zero[1][2, 1, 1] = 0
     got, expected = (
-        pyramid.filter_pyramid(mean, divisor, previous, maps, OPTIONS, Strips(1))
+        pyramid.filter_pyramid(mean, sample, divisor, previous, maps, OPTIONS, Strips(1))
         for maps in (logits, zero)
     )
     np.testing.assert_array_equal(got, expected)
 
 
 def test_invalid_previous_output_is_not_used():
-    mean, divisor, previous, logits = draw(9, 14)
+    mean, sample, divisor, previous, logits = draw(9, 14)
     previous[..., 3] = 0
-    got = pyramid.filter_pyramid(mean, divisor, previous, logits, OPTIONS, Strips(1))
-    without = pyramid.filter_pyramid(mean, divisor, None, logits, OPTIONS, Strips(1))
+    got = pyramid.filter_pyramid(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
+    without = pyramid.filter_pyramid(mean, sample, divisor, None, logits, OPTIONS, Strips(1))
     np.testing.assert_array_equal(got, without)
+
+
+def test_one_frame_alone_needs_no_sample_beside_itself():
+    mean, _, divisor, previous, logits = draw(9, 14)
+    alone = pyramid.filter_pyramid(mean, None, divisor, previous, logits, OPTIONS, Strips(1))
+    logits[0][-1] = -100  # nothing is renewed: the accumulated light is left as it is
+    got = pyramid.filter_pyramid(mean, mean, divisor, previous, logits, OPTIONS, Strips(1))
+    # the bound of the logits leaves a share of exp(-8), which changes the samples held
+    np.testing.assert_allclose(got, alone, rtol=1e-2)
+
+
+def test_a_past_that_does_not_hold_can_be_let_go():
+    mean, sample, _, _, logits = draw(9, 14)
+    mean[..., :3], sample[..., :3] = 5.0, 1.0
+    mean[..., 3], sample[..., 3] = 17.0, 1.0
+    logits[0][-1] = 100
+    got = pyramid.filter_pyramid(mean, sample, None, None, logits, OPTIONS, Strips(1))
+    assert got.max() < 1.03  # exp(8) to 17

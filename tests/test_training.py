@@ -160,3 +160,30 @@ def test_provenance_counts_scenes_and_credits_them(small, tmp_path):
 def test_a_scene_of_unknown_licence_cannot_ship():
     with pytest.raises(InputError, match=r"must be in credits\.toml, got torus"):
         provenance.credits_of({"room", "torus"})
+
+
+def test_another_model_s_weights_are_taken_over_by_the_names_of_features(data, small, tmp_path):
+    short = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=1))
+    first = train.train(short, [data], tmp_path / "first", save_every=1)
+    names = short.network.features
+    turned = dataclasses.replace(
+        short,
+        network=dataclasses.replace(short.network, features=(*names[:0:-1], "sample.luminance")),
+    )
+    second = train.FAMILIES[turned.family].network(turned)
+    origin = train.start_from(tmp_path / "first" / train.CHECKPOINT, second, turned)
+    assert origin == {"model": "wskp-3", "steps": 1}
+    planes = torch.rand(1, len(names), 9, 7)
+    planes[:, 0] = 0  # what the second does not read
+    unread = torch.rand(1, 1, 9, 7)  # what the first did not read has no weight yet
+    again = torch.cat([planes[:, 1:].flip(1), unread], 1)
+    torch.testing.assert_close(second(again), first(planes))
+
+
+def test_weights_that_do_not_fit_are_refused(data, small, tmp_path):
+    short = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=1))
+    train.train(short, [data], tmp_path, save_every=1)
+    wide = dataclasses.replace(small, network=dataclasses.replace(small.network, widths=(16, 20)))
+    network = train.FAMILIES[wide.family].network(wide)
+    with pytest.raises(InputError, match=r"start must have weights that fit wskp-3.*blocks"):
+        train.start_from(tmp_path / train.CHECKPOINT, network, wide)

@@ -32,6 +32,7 @@ class Example:
     """The last frame of a sequence as the network will meet it, and its reference."""
 
     mean: np.ndarray  # (h, w, 4) irradiance and samples
+    sample: np.ndarray  # (h, w, 4) irradiance of this frame and what it is worth
     exposure: float
     divisor: np.ndarray  # (h, w, 3)
     albedo: np.ndarray  # (h, w, 3)
@@ -49,6 +50,8 @@ class Batch:
     features: np.ndarray
     irradiance: np.ndarray
     samples: np.ndarray
+    new: np.ndarray
+    worth: np.ndarray
     divisor: np.ndarray
     previous: np.ndarray
     valid: np.ndarray
@@ -70,7 +73,7 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> Iterator[E
     for count in STARTS:
         history: History | None = None
         for frame in frames[-count:]:
-            prepared = prepare(frame, spec, history, strips, {})
+            prepared = prepare(frame, spec, history, strips, {}, wants_sample=True)
             history = prepared.history
         assert history is not None
         assert prepared.divisor is not None
@@ -79,6 +82,7 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> Iterator[E
         assert prepared.depth is not None
         yield Example(
             mean=history.mean,
+            sample=history.mean if prepared.sample is None else prepared.sample,
             exposure=history.exposure,
             divisor=prepared.divisor,
             albedo=prepared.albedo,
@@ -157,6 +161,8 @@ class PatchSampler:
         gain = np.exp(rng.normal(size=3) * 0.15).astype(np.float32)
         mean = turn(example.mean[window]).copy()
         mean[..., :3] = mean[..., order] * gain
+        sample = turn(example.sample[window]).copy()
+        sample[..., :3] = sample[..., order] * gain
         reference = turn(example.reference[window])[..., order] * gain
         divisor = turn(example.divisor[window])[..., order]
         previous = turn(example.previous[window]).copy()
@@ -167,6 +173,7 @@ class PatchSampler:
         if rng.random() < recipe.drop_feature:
             # no albedo: what is filtered is radiance
             mean[..., :3] *= divisor
+            sample[..., :3] *= divisor
             divisor, albedo = np.ones_like(divisor), None
         if rng.random() < recipe.drop_feature:
             normal = None
@@ -182,6 +189,7 @@ class PatchSampler:
             exposure,
             spec.temporal,
             spec.network.features,
+            sample=encode.luminance(sample),
             albedo=albedo,
             normal=normal,
             depth=depth,
@@ -193,6 +201,8 @@ class PatchSampler:
             "features": features,
             "irradiance": _chw(mean[..., :3]),
             "samples": mean[None, ..., 3],
+            "new": _chw(sample[..., :3]),
+            "worth": sample[None, ..., 3],
             "divisor": _chw(divisor),
             "previous": _chw(previous[..., :3]),
             "valid": previous[None, ..., 3],

@@ -12,7 +12,7 @@ from stillray.models_spec import ModelSpec
 from stillray.models_spec.loader import FusedKernels, PyramidKernels
 from stillray.training.decoders.boxes import BoxMean
 from stillray.training.decoders.fused_kernels import fused_kernels
-from stillray.training.decoders.pyramid import kernel_pyramid, resolve
+from stillray.training.decoders.pyramid import kernel_pyramid, renewed, resolve
 from stillray.training.networks.importance import ImportanceNet
 from stillray.training.networks.pyramid import PyramidNet
 
@@ -56,7 +56,10 @@ def _pyramid(
     logits: tuple[Tensor, ...], batch: Mapping[str, Tensor], spec: ModelSpec, box: BoxFilter
 ) -> Tensor:
     assert isinstance(spec.decoder, PyramidKernels)
-    image = kernel_pyramid(batch["irradiance"], batch["samples"], logits, spec.decoder, box)
+    light, samples = renewed(
+        batch["irradiance"], batch["samples"], batch["new"], batch["worth"], logits[0], spec.decoder
+    )
+    image = kernel_pyramid(light, samples, logits, spec.decoder, box)
     return resolve(
         image * batch["divisor"], logits[0], batch["previous"], batch["valid"], spec.decoder
     )
@@ -70,7 +73,7 @@ FAMILIES = {
     "kernel-pyramid": Family(
         PyramidNet,
         _pyramid,
-        inputs=("irradiance", "samples", "divisor", "previous", "valid"),
+        inputs=("irradiance", "samples", "new", "worth", "divisor", "previous", "valid"),
         modulates=True,
     ),
 }

@@ -42,7 +42,8 @@ def collect(run: Path, spec: ModelSpec, steps: int) -> dict[str, Any]:
     Parameters
     ----------
     run
-        Holds ``data.json`` and ``log.csv``, as `stillray.training.train` writes them.
+        Holds ``data.json``, ``log.csv`` and perhaps ``started_from.json``, as
+        `stillray.training.train` writes them.
     spec
         The model's specification.
     steps
@@ -52,7 +53,10 @@ def collect(run: Path, spec: ModelSpec, steps: int) -> dict[str, Any]:
     scenes = Counter(name.rsplit("-", 2)[0] for name in sequences)
     with (run / "log.csv").open(newline="") as file:
         losses = [float(row["loss"]) for row in csv.DictReader(file)][-_LOSS_ROWS:]
+    started = run / "started_from.json"
+    origin = {"started_from": json.loads(started.read_text())} if started.is_file() else {}
     return {
+        **origin,
         "data": dict(sorted(scenes.items())),
         "credits": credits_of(set(scenes)),
         "steps": steps,

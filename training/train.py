@@ -40,6 +40,7 @@ from stillray.training.families import FAMILIES
 from stillray.training.losses import displayed_error, smape
 
 CHECKPOINT = "checkpoint.safetensors"
+STARTED_FROM = "started_from.json"  # the model whose weights were taken over, if any
 PREVIOUS = "previous.onnx"  # the model whose outputs are the previous ones of a recurrence
 _LOG_EVERY = 20  # steps
 
@@ -71,7 +72,14 @@ def learning_rate(step: int, spec: ModelSpec) -> float:
     )
 
 
-def train(spec: ModelSpec, data: list[Path], out: Path, *, save_every: int = 200) -> nn.Module:
+def train(
+    spec: ModelSpec,
+    data: list[Path],
+    out: Path,
+    *,
+    start: Path | None = None,
+    save_every: int = 200,
+) -> nn.Module:
     """Train until the recipe's last step; resumes from ``out`` if it holds a checkpoint.
 
     Parameters
@@ -82,6 +90,8 @@ def train(spec: ModelSpec, data: list[Path], out: Path, *, save_every: int = 200
         Folders of rendered sequences.
     out
         Folder for the checkpoint and the log; made if missing.
+    start
+        Checkpoint of a similar model to start from, see `start_from`; None for random weights.
     save_every
         Steps between checkpoints.
 
@@ -98,6 +108,9 @@ def train(spec: ModelSpec, data: list[Path], out: Path, *, save_every: int = 200
     network = FAMILIES[spec.family].network(spec)
     optimiser = torch.optim.Adam(network.parameters(), lr=spec.training.learning_rate)
     step = _restore(out / CHECKPOINT, spec, network, optimiser)
+    if start is not None and step == 0:
+        origin = start_from(start, network, spec)
+        (out / STARTED_FROM).write_text(json.dumps(origin, indent=1))
     with Progress(
         *Progress.get_default_columns()[:3],
         MofNCompleteColumn(),
@@ -166,6 +179,57 @@ def _recall(
             examples[at] = dataclasses.replace(examples[at], previous=previous)
         progress.advance(task)
     progress.remove_task(task)
+
+
+def start_from(checkpoint: Path, network: nn.Module, spec: ModelSpec) -> dict[str, Any]:
+    """Take over the weights of a similar model: features by name, planes that are new stay random.
+
+    Parameters
+    ----------
+    checkpoint
+        Of a model of the same family and widths; it may have read other features, which are
+        matched by name (those that it did not read begin with weights of 0), and have given fewer
+        logits (new ones are appended).
+    network, spec
+        What is to be trained.
+
+    Returns
+    -------
+    dict
+        Name and steps of the model that was taken over: goes into the provenance.
+
+    Raises
+    ------
+    InputError
+        The checkpoint's weights do not fit.
+    """
+    from safetensors import safe_open
+
+    if not checkpoint.is_file():
+        raise InputError(f"start must be a checkpoint, got {checkpoint}: no such file")
+    with safe_open(checkpoint, framework="pt") as file:
+        metadata = file.metadata()
+    before = json.loads(metadata["spec"])
+    features = before["network"]["features"]
+    state = network.state_dict()
+    for name, value in load_file(checkpoint).items():
+        if not name.startswith("network."):
+            continue
+        target = state.get(name := name[len("network.") :])
+        fits = target is not None and len(value) <= len(target)
+        if fits and name.startswith(str(network.reads_features)) and value.ndim == 4:
+            fits = value.shape[1] == len(features) and value.shape[2:] == target.shape[2:]
+            read = [features.index(f) if f in features else -1 for f in spec.network.features]
+            matched = value[:, read]
+            matched[:, [index < 0 for index in read]] = 0
+            value = matched
+        if not fits or value.shape[1:] != target.shape[1:]:
+            raise InputError(
+                f"start must have weights that fit {spec.name}, {checkpoint} does not: {name}"
+            )
+        target[: len(value)] = value
+    network.load_state_dict(state)
+    return {"model": before["name"], "steps": int(metadata["step"])}
 
 
 def load_network(spec: ModelSpec, checkpoint: Path) -> tuple[nn.Module, int]:
@@ -239,6 +303,9 @@ def main(
     out: Annotated[Path, typer.Option(help="Folder for checkpoint and log.")],
     threads: Annotated[int, typer.Option(help="Threads of PyTorch.")] = 0,
     steps: Annotated[int, typer.Option(help="Override the recipe's steps.")] = 0,
+    start: Annotated[
+        Path | None, typer.Option(help="Checkpoint of a similar model to start from.")
+    ] = None,
     plain: Annotated[
         bool, typer.Option("--plain", help="Train without the extra branches (the ablation).")
     ] = False,
@@ -251,7 +318,7 @@ def main(
         spec = dataclasses.replace(spec, training=dataclasses.replace(spec.training, steps=steps))
     if plain:
         spec = without_branches(spec)
-    train(spec, data, out)
+    train(spec, data, out, start=start)
 
 
 def without_branches(spec: ModelSpec) -> ModelSpec:

@@ -74,6 +74,43 @@ def kernel_pyramid(
     return result
 
 
+def renewed(
+    irradiance_nchw: Tensor,
+    samples_nchw: Tensor,
+    new_nchw: Tensor,
+    worth_nchw: Tensor,
+    logits_nchw: Tensor,
+    options: PyramidKernels,
+) -> tuple[Tensor, Tensor]:
+    """What was accumulated, with more of the new sample where the past does not hold.
+
+    Parameters
+    ----------
+    irradiance_nchw : (n, 3, h, w)
+        Accumulated.
+    samples_nchw : (n, 1, h, w)
+        Samples that each pixel holds, > 0.
+    new_nchw : (n, 3, h, w)
+        Irradiance of this frame.
+    worth_nchw : (n, 1, h, w)
+        What its samples are worth, > 0.
+    logits_nchw : (n, planes, h, w)
+        Of the finest level; that of `LevelLayout.renew` is used.
+    options
+        The bound of the logits.
+
+    Returns
+    -------
+    (n, 3, h, w), (n, 1, h, w)
+        Irradiance, and the samples that it holds.
+    """
+    layout = level_layout(0, 2, options)
+    more = logits_nchw[:, layout.renew].clamp(-options.logit_bound, options.logit_bound).exp()
+    total = samples_nchw + more * worth_nchw
+    light = (samples_nchw * irradiance_nchw + more * worth_nchw * new_nchw) / total
+    return light, total / (1 + more)
+
+
 def resolve(
     radiance_nchw: Tensor,
     logits_nchw: Tensor,

@@ -18,6 +18,9 @@ class ImportanceNet(nn.Module):
         Its ``network`` gives features and widths; its ``decoder`` the number of kernels m.
     """
 
+    #: Beginning of the names of the weights that meet the features.
+    reads_features = "blocks.0."
+
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__()
         network = spec.network

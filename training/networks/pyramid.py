@@ -12,6 +12,7 @@ from stillray.pyramid import level_layout, level_logits
 from stillray.training.networks.repvgg import RepVGGBlock
 
 _UNRESOLVED = -3.0  # logit of a neighbour against the pixel itself, before training
+_UNRENEWED = -3.0  # and of the new sample's worth beside what was accumulated
 
 
 class PyramidNet(nn.Module):
@@ -25,6 +26,9 @@ class PyramidNet(nn.Module):
     spec
         Its ``network`` gives features, widths and blocks; its ``decoder`` the logits.
     """
+
+    #: Beginning of the names of the weights that meet the features.
+    reads_features = "enter.0."
 
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__()
@@ -84,6 +88,7 @@ class PyramidNet(nn.Module):
         assert isinstance(finest, Tensor)
         with torch.no_grad():
             finest[level_layout(0, levels, decoder).resolve] = _UNRESOLVED
+            finest[level_layout(0, levels, decoder).renew] = _UNRENEWED
 
     def forward(self, features_nchw: Tensor) -> tuple[Tensor, ...]:
         """``(n, features, h, w)``, both sizes multiples of 2^(levels - 1), to one map a level."""
