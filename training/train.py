@@ -215,8 +215,8 @@ def start_from(checkpoint: Path, network: nn.Module, spec: ModelSpec) -> dict[st
     for name, value in load_file(checkpoint).items():
         if not name.startswith("network."):
             continue
-        target = state.get(name := name[len("network.") :])
-        fits = target is not None and len(value) <= len(target)
+        target = state.get(name := name[len("network.") :], torch.empty(0))
+        fits = len(value) <= len(target)
         if fits and name.startswith(str(network.reads_features)) and value.ndim == 4:
             fits = value.shape[1] == len(features) and value.shape[2:] == target.shape[2:]
             read = [features.index(f) if f in features else -1 for f in spec.network.features]
