@@ -131,7 +131,7 @@ def train(
         sampler = PatchSampler(examples, spec)
         task = progress.add_task(spec.name, total=spec.training.steps, completed=step)
         losses: list[float] = []
-        start = time.monotonic()
+        began = time.monotonic()
         while step < spec.training.steps:
             since = step - recipe.history_from
             if recipe.history_from and since >= 0 and since % recipe.history_every == 0:
@@ -147,7 +147,7 @@ def train(
             step += 1
             progress.advance(task)
             if step % _LOG_EVERY == 0:
-                _log(out / "log.csv", step, float(np.mean(losses)), time.monotonic() - start)
+                _log(out / "log.csv", step, float(np.mean(losses)), time.monotonic() - began)
                 losses = []
             if step % save_every == 0 or step == spec.training.steps:
                 _save(out / CHECKPOINT, spec, network, optimiser, step)
