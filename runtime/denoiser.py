@@ -190,6 +190,7 @@ class Denoiser:
                 prepared.history.exposure,
                 spec.network.features,
                 out=planes,
+                scratch=self._strips.scratch,
             )
 
         with timed(self.last_timings, "encode"):

@@ -15,6 +15,7 @@ from stillray.strips import planes_of
 _REC709 = np.array([[0.2126, 0.7152, 0.0722, 0]], np.float32)
 _ALBEDO = ("albedo.r", "albedo.g", "albedo.b")
 _NORMAL = ("normal.x", "normal.y", "normal.z")
+_PREVIOUS = ("previous.r", "previous.g", "previous.b", "previous.valid")
 _BLOCK = 8  # pixels: blocks whose means give the frame's typical irradiance
 
 
@@ -183,6 +184,7 @@ def previous_planes(
     features: Sequence[str],
     *,
     out: np.ndarray,
+    scratch: Scratch | None = None,
 ) -> None:
     """Fill the planes of the previous output, for networks that ask for them.
 
@@ -199,17 +201,23 @@ def previous_planes(
         Names of the planes.
     out : (len(features), h, w) float32
         Written: values in [0, 1].
+    scratch
+        Where temporaries lie, if given.
     """
     plane = dict(zip(features, out, strict=True))
-    for channel, name in enumerate((*"rgb", "valid")):
-        if (target := plane.get(f"previous.{name}")) is None:
-            continue
-        if previous is None:
-            target.fill(0)
-        elif name == "valid":
-            target[...] = previous[..., channel]
-        else:
-            light = previous[..., channel]
+    asked = [name for name in _PREVIOUS if name in plane]
+    if previous is None:
+        for name in asked:
+            plane[name].fill(0)
+    elif asked:
+        scratch = scratch or Scratch()
+        planes = planes_of(previous, out=scratch.array("previous", (4, *previous.shape[:2])))
+        for name in asked:
+            channel, target = _PREVIOUS.index(name), plane[name]
+            light = planes[channel]
+            if name == "previous.valid":
+                target[...] = light
+                continue
             if divisor is not None:
                 light = np.divide(light, divisor[..., channel], out=target)
             np.sqrt(tone_map(light, exposure, out=target), out=target)

@@ -152,8 +152,24 @@ def filter_pyramid(
         Radiance: for every pixel a convex combination of the irradiance around it, accumulated
         and new, times the divisors of its 3x3 neighbours, and of the previous output.
     """
-    if any(np.isnan(level.max()) for level in logits):  # a NaN logit says nothing: 0
+    image = _filtered(mean, sample, divisor, previous, logits, options, strips)
+    # A logit that is not a number says nothing: 0. It shows in the image, which is a fifth of the
+    # logits to look through.
+    if np.isnan(image.max()) and any(np.isnan(level.max()) for level in logits):
         logits = [np.nan_to_num(level, nan=0.0) for level in logits]
+        image = _filtered(mean, sample, divisor, previous, logits, options, strips)
+    return image
+
+
+def _filtered(
+    mean: np.ndarray,
+    sample: np.ndarray | None,
+    divisor: np.ndarray | None,
+    previous: np.ndarray | None,
+    logits: Sequence[np.ndarray],
+    options: PyramidKernels,
+    strips: Strips,
+) -> np.ndarray:
     height, width = mean.shape[:2]
     levels = len(logits)
     bottom, right = (
