@@ -74,7 +74,8 @@ class Temporal:
     """Reprojection and accumulation before the network (Fan et al. 2021, section 4.1)."""
 
     max_samples: float  # samples that a pixel's history is worth at most, >= 1
-    outlier_ratio: float  # a sample this many times its surroundings counts half, > 0
+    # a sample this many times its surroundings counts two thirds in a pixel that holds three, > 0
+    outlier_ratio: float
     normal_cosine: float  # a tap is accepted when its normal agrees at least so much, [-1, 1]
     depth_ratio: float  # and its depth differs at most by this share, > 0
 

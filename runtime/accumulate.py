@@ -10,24 +10,39 @@ from stillray.scratch import Scratch
 from stillray.strips import planes_of
 
 
+#: Exposed irradiance below which surroundings no longer count as darker.
+DARK = 0.02
+#: Share of ``outlier_ratio`` that a pixel's first sample may stand above its surroundings.
+FIRST_SHARE = 0.25
+#: Smallest weight of a sample: what would weigh less is made darker instead, see `bound`.
+MIN_WEIGHT = 1e-3
+_HUGE = np.float32(1e37)  # relative brightness that float32 still holds, with its reciprocal
+
+
 def sample_weight(
     luminance: np.ndarray,
     local: np.ndarray,
+    held: np.ndarray | None,
     exposure: float,
     options: Temporal,
     scratch: Scratch | None = None,
 ) -> np.ndarray:
-    """What a new sample is worth, in (0, 1]: less, the further it stands above its surroundings.
+    """What a new sample is worth, in (0, 1]: less, the further it stands above what is usual.
 
-    With ``s`` the local radiance, a sample of luminance ``L`` weighs
-    ``1 / (1 + L / (outlier_ratio (s + s0)))``: its product with ``L`` stays bounded, so one
-    firefly moves a mean by no more than a few ordinary samples, and the pixel's sample count says
-    that little is known there.
+    A sample of luminance ``L`` weighs ``1 / (1 + x^2 / (1 + x))`` with ``x = L / u``, where ``u =
+    outlier_ratio / 4 (1 + n) (s + s0)``, ``s`` is the local radiance and ``n`` the samples that
+    the pixel holds. For ``x`` well below 1 that is 1, so that ordinary noise is averaged plainly
+    and keeps its energy. The product with ``L`` stays below ``u``: one firefly moves a mean of any
+    number of samples by about ``outlier_ratio / 4`` times its surroundings at most, and the
+    pixel's sample count says that little is known there. What a bright sample is denied in a new
+    pixel it is given in one with a past, where it does less harm: where few samples carry the
+    light, the mean comes to it as samples grow.
 
     differs: Fan et al. 2021 average plainly (section 4.1), which smears fireflies over the frames
-    that follow. The ratio trades that against lost energy: where most samples are black, a bright
-    one is ordinary. Measured on the validation scenes with a 5x5 box as the filter, PSNR: 20.2 dB
-    at ratio 4, 22.8 at 16, 23.5 at 64 (kept), 23.3 at 512, 23.2 without.
+    that follow. Measured on the validation scenes with kpyr-5, PSNR and SMAPE: 27.39 dB, 0.0584 at
+    a first share of 16 times the surroundings (kept), 27.36, 0.0587 at 12, 27.37, 0.0586 at 24;
+    27.25, 0.0600 with ``1 / (1 + L / (64 (s + s0)))``, which knows nothing of ``n`` and takes 3 %
+    of the energy of exponential noise.
 
     Parameters
     ----------
@@ -36,34 +51,68 @@ def sample_weight(
     local : (h, w) float32
         Tone-mapped local luminance ``t = s e / (1 + s e)`` in [0, 1), see
         `stillray.encode.local_luminance`.
+    held : (h, w) float32 or None
+        Samples of the past at these pixels, >= 0; None where there is no past.
     exposure
         ``e``, 1 / irradiance.
+    options
+        The outlier ratio.
     scratch
         Where the result and what leads to it lie, if given.
 
     Returns
     -------
     (h, w) float32
+        Not bounded from below, see `bound`.
     """
     scratch = scratch or Scratch()
     # in exposed units: s e = t / (1 - t); DARK is a small share of the frame's typical value
-    typical = scratch.array("typical", local.shape)
+    usual = scratch.array("usual", local.shape)
     weight = scratch.array("weight", local.shape)
-    np.clip(local, np.float32(0), np.float32(0.9999), out=typical)
-    typical /= np.subtract(1, typical, out=weight)
-    typical += np.float32(DARK)
-    # 1 / (1 + L / typical), as typical / (typical + L)
-    np.multiply(luminance, np.float32(exposure / options.outlier_ratio), out=weight)
-    weight += typical
-    np.divide(typical, weight, out=weight)
-    # a weight of exactly 0 would leave windows of fireflies empty
-    return np.clip(weight, np.float32(MIN_WEIGHT), np.float32(1), out=weight)
+    np.clip(local, np.float32(0), np.float32(0.9999), out=usual)
+    usual /= np.subtract(1, usual, out=weight)
+    usual += np.float32(DARK)
+    if held is not None:
+        np.clip(held, np.float32(0), np.float32(options.max_samples), out=weight)
+        weight += 1
+        usual *= weight
+    # x, then x / (1 + x) in place of usual: no square, which would leave float32
+    np.divide(luminance, usual, out=weight)
+    with np.errstate(over="ignore"):
+        weight *= np.float32(exposure / (FIRST_SHARE * options.outlier_ratio))
+    np.minimum(weight, _HUGE, out=weight)
+    np.add(weight, 1, out=usual)
+    np.divide(weight, usual, out=usual)
+    weight *= usual
+    weight += 1
+    return np.reciprocal(weight, out=weight)
 
 
-#: Exposed irradiance below which surroundings no longer count as darker.
-DARK = 0.02
-#: Smallest weight of a sample, so that it is better than nothing.
-MIN_WEIGHT = 1e-6
+def bound(irradiance: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Raise weights to `MIN_WEIGHT`, and make those samples darker in turn.
+
+    A weight of next to nothing does not bound what a sample does where nothing else is known: in a
+    new pixel, or where a network takes pixels by what they show and not by what they are worth.
+
+    Parameters
+    ----------
+    irradiance : (h, w, 3) float32
+        Samples; not changed.
+    weight : (h, w) float32
+        Changed where it is below.
+
+    Returns
+    -------
+    (h, w, 3) float32
+        ``irradiance``, itself where no weight was below; products with weights are kept.
+    """
+    if weight.min() >= MIN_WEIGHT:
+        return irradiance
+    low = weight < MIN_WEIGHT
+    bounded = irradiance.copy()
+    bounded[low] *= weight[low, None] / np.float32(MIN_WEIGHT)
+    weight[low] = MIN_WEIGHT
+    return bounded
 
 
 def accumulate(

@@ -160,19 +160,30 @@ def prepare(
         )
 
     def accumulate(rows: slice, past: np.ndarray | None, scratch: Scratch) -> None:
-        weight = acc.sample_weight(luminance[rows], local[rows], exposure, spec.temporal, scratch)
+        planes: np.ndarray | None = None
+        if past is not None:
+            planes = planes_of(past, out=scratch.array("mean", (4, *past.shape[:2])))
+        weight = acc.sample_weight(
+            luminance[rows],
+            local[rows],
+            None if planes is None else planes[3],
+            exposure,
+            spec.temporal,
+            scratch,
+        )
         if buffers.broken is not None:
-            weight[buffers.broken[rows]] = acc.MIN_WEIGHT
+            broken = buffers.broken[rows]
+            weight[broken] = np.minimum(weight[broken], acc.MIN_WEIGHT)
         irradiance = buffers.color[rows]
         if divide_by is not None:
             out = scratch.array("irradiance", irradiance.shape)
             irradiance = np.divide(irradiance, divide_by[rows], out=out)
-        if past is None:
+        irradiance = acc.bound(irradiance, weight)
+        if planes is None:
             cv2.merge([irradiance, weight], dst=mean[rows])
             return
         if sample is not None:
             cv2.merge([irradiance, weight], dst=sample[rows])
-        planes = planes_of(past, out=scratch.array("mean", (4, *weight.shape)))
         acc.accumulate(irradiance, weight, planes, spec.temporal, scratch)
         interleave(planes, out=mean[rows])
         encode.luminance_of_planes(planes, out=accumulated[rows])
