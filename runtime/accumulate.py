@@ -15,7 +15,9 @@ DARK = 0.02
 #: Share of ``outlier_ratio`` that a pixel's first sample may stand above its surroundings.
 FIRST_SHARE = 0.25
 #: Smallest weight of a sample: what would weigh less is made darker instead, see `bound`.
-MIN_WEIGHT = 1e-3
+MIN_WEIGHT = 0.1
+#: Weight of what was filled in from neighbours: better than nothing, and than nothing else.
+FILLED_WEIGHT = 1e-6
 _HUGE = np.float32(1e37)  # relative brightness that float32 still holds, with its reciprocal
 
 
@@ -93,6 +95,10 @@ def bound(irradiance: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
     A weight of next to nothing does not bound what a sample does where nothing else is known: in a
     new pixel, or where a network takes pixels by what they show and not by what they are worth.
+    So a sample counts as at most ``outlier_ratio / 4 (1 + n) / MIN_WEIGHT`` times its surroundings:
+    160 times in a new pixel, 2,700 times where 16 samples are held. Quality on the validation
+    scenes is the same for smallest weights of 1e-6 to 0.1; what one firefly of 1e6 times the rest
+    lifts a pixel of kpyr-5 by is not: 276 times at 1e-3, 4 times at 0.1.
 
     Parameters
     ----------

@@ -171,14 +171,13 @@ def prepare(
             spec.temporal,
             scratch,
         )
-        if buffers.broken is not None:
-            broken = buffers.broken[rows]
-            weight[broken] = np.minimum(weight[broken], acc.MIN_WEIGHT)
         irradiance = buffers.color[rows]
         if divide_by is not None:
             out = scratch.array("irradiance", irradiance.shape)
             irradiance = np.divide(irradiance, divide_by[rows], out=out)
         irradiance = acc.bound(irradiance, weight)
+        if buffers.broken is not None:
+            weight[buffers.broken[rows]] = acc.FILLED_WEIGHT
         if planes is None:
             cv2.merge([irradiance, weight], dst=mean[rows])
             return

@@ -1,0 +1,125 @@
+"""What a hard case is, and the small worlds that cases are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+import stillray
+from stillray.frame import Frame
+from tests.conftest import clean_color, make_frame
+
+HEIGHT, WIDTH = 24, 33
+ROUNDING = 1e-4  # float32 sums of a window, a division and a multiplication by albedo
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One hard case.
+
+    Attributes
+    ----------
+    name
+        Of the test.
+    what
+        The input.
+    holds
+        What is measured; it must be at most ``limit``.
+    limit
+        Largest figure that passes; a NaN never does.
+    measure
+        From a denoiser without a past to the figure.
+    falls_short
+        Models that do not keep the limit, and why: their tests are expected to fail.
+    """
+
+    name: str
+    what: str
+    holds: str
+    limit: float
+    measure: Callable[[stillray.Denoiser], float]
+    falls_short: dict[str, str]
+
+    def passes(self, figure: float) -> bool:
+        """Whether a measured figure is within the limit."""
+        return figure <= self.limit
+
+
+def case(
+    what: str, holds: str, limit: float, **falls_short: str
+) -> Callable[[Callable[[stillray.Denoiser], float]], Case]:
+    """Make a case of a function that measures one; it lends its name."""
+
+    def made(measure: Callable[[stillray.Denoiser], float]) -> Case:
+        return Case(
+            name=measure.__name__,
+            what=what,
+            holds=holds,
+            limit=limit,
+            measure=measure,
+            falls_short={name.replace("_", "-"): why for name, why in falls_short.items()},
+        )
+
+    return made
+
+
+def run(denoiser: stillray.Denoiser, frames: Iterable[Frame]) -> list[np.ndarray]:
+    """The pictures of a sequence that begins anew."""
+    denoiser.reset()
+    return [denoiser.denoise(frame) for frame in frames]
+
+
+def still(height: int = HEIGHT, width: int = WIDTH) -> np.ndarray:
+    """Motion of a still camera."""
+    return np.zeros((height, width, 2), np.float32)
+
+
+def flat(value: float, **buffers: np.ndarray) -> Frame:
+    """A frame of one radiance under a still camera."""
+    color = np.full((HEIGHT, WIDTH, 3), value, np.float32)
+    return Frame(**{"color": color, "motion": still(), **buffers})
+
+
+def changed(frame: Frame, **buffers: object) -> Frame:
+    """A frame with other buffers, read anew."""
+    names = ("color", "albedo", "normal", "depth", "motion")
+    return Frame(**{**{name: getattr(frame, name) for name in names}, **buffers})  # type: ignore[arg-type]
+
+
+def noisy(count: int, first: int = 0, light: float = 1.0) -> list[Frame]:
+    """Frames of a wall and a box under a still camera, with 1-spp-like noise."""
+    frames = [make_frame(HEIGHT, WIDTH, first + index) for index in range(count)]
+    return [changed(frame, color=frame.color * np.float32(light)) for frame in frames]
+
+
+def truth() -> np.ndarray:
+    """What the `noisy` frames are estimates of."""
+    return clean_color(HEIGHT, WIDTH)
+
+
+def clean(count: int) -> list[Frame]:
+    """`noisy` without its noise."""
+    return [changed(make_frame(HEIGHT, WIDTH), color=truth()) for _ in range(count)]
+
+
+def apart(images: object, wanted: object) -> float:
+    """Largest relative difference, of the larger of both; NaN and infinity give infinity."""
+    a, b = np.asarray(images, np.float64), np.asarray(wanted, np.float64)
+    if not np.isfinite(a).all():
+        return float("inf")
+    largest = np.maximum(np.abs(a), np.abs(b))
+    return float((np.abs(a - b) / np.where(largest > 0, largest, 1)).max())
+
+
+def accumulated(denoiser: stillray.Denoiser, frame: Frame) -> np.ndarray:
+    """Radiance as accumulated, before the kernels."""
+    from stillray.demodulate import divisor
+
+    assert denoiser.history is not None
+    mean = denoiser.history.mean[..., :3]
+    if frame.albedo is None:
+        return mean
+    albedo = np.clip(frame.albedo, 0, 1)
+    return mean * divisor(albedo, denoiser.model.spec.demodulate)

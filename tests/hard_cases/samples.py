@@ -1,0 +1,200 @@
+"""Hard cases of radiance: fireflies, broken values, ranges."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import stillray
+from stillray.frame import Frame
+from tests.hard_cases.case import (
+    HEIGHT,
+    ROUNDING,
+    WIDTH,
+    Case,
+    apart,
+    case,
+    changed,
+    clean,
+    flat,
+    noisy,
+    run,
+    still,
+)
+
+FIREFLIES = (1e3, 1e4, 1e6, 1e12, 1e30, 3e38)  # times the surroundings, which are below 1
+
+
+def _with_firefly(frame: Frame, brightness: float) -> Frame:
+    color = frame.color.copy()
+    color[10, 12] = brightness
+    return changed(frame, color=color)
+
+
+def _peak(denoiser: stillray.Denoiser, before: int, after: int) -> float:
+    """How far one firefly lifts any pixel, as a multiple of it, some frames later; the worst."""
+    (frame,) = clean(1)
+    run(denoiser, [frame] * before)
+    past = denoiser.history
+    base = [denoiser.denoise(frame) for _ in range(1 + after)][-1]
+    worst = 0.0
+    for brightness in FIREFLIES:
+        denoiser.history = past
+        images = [denoiser.denoise(_with_firefly(frame, brightness))]
+        images += [denoiser.denoise(frame) for _ in range(after)]
+        if not np.isfinite(images).all():
+            return float("inf")
+        worst = max(worst, float((images[-1] / base).max()))
+    return worst
+
+
+@case("a firefly of 1e3 to 3e38 in the first frame", "largest pixel / the same without it", 6)
+def firefly_in_the_first_frame(denoiser: stillray.Denoiser) -> float:
+    return _peak(denoiser, 0, 0)
+
+
+@case("the same, four frames later", "largest pixel / the same without it", 1.25)
+def firefly_four_frames_later(denoiser: stillray.Denoiser) -> float:
+    return _peak(denoiser, 0, 4)
+
+
+@case("a firefly of 1e3 to 3e38 after 20 frames", "largest pixel / the same without it", 6)
+def firefly_in_an_old_history(denoiser: stillray.Denoiser) -> float:
+    return _peak(denoiser, 20, 0)
+
+
+@case("the same, eight frames later", "largest pixel / the same without it", 3)
+def firefly_in_an_old_history_later(denoiser: stillray.Denoiser) -> float:
+    return _peak(denoiser, 20, 8)
+
+
+def _clusters(denoiser: stillray.Denoiser, brightness: float, after: int) -> float:
+    """3x3 pixels share one sample, which moves a pixel a frame for eight frames."""
+    frames = clean(8 + after)
+    base = run(denoiser, frames)
+    for index in range(8):
+        color = frames[index].color.copy()
+        block = slice(8, 11), slice(6 + index, 9 + index)
+        color[block] *= brightness / color[block].max()
+        frames[index] = changed(frames[index], color=color)
+    images = run(denoiser, frames)
+    first = 0 if after == 0 else -1
+    return float((np.array(images[first:]) / np.array(base[first:])).max())
+
+
+@case(
+    "3x3 pixels share a sample of 1e3, moving 1 pixel a frame, 8 frames",
+    "largest pixel / the same without it",
+    40,
+)
+def cluster_of_fireflies(denoiser: stillray.Denoiser) -> float:
+    return _clusters(denoiser, 1e3, 0)
+
+
+@case("the same with 1e8", "largest pixel / the same without it", 400)
+def cluster_of_huge_fireflies(denoiser: stillray.Denoiser) -> float:
+    return _clusters(denoiser, 1e8, 0)
+
+
+@case(
+    "the cluster of 1e8, 16 frames after it has gone", "largest pixel / the same without it", 3
+)
+def cluster_of_huge_fireflies_later(denoiser: stillray.Denoiser) -> float:
+    return _clusters(denoiser, 1e8, 16)
+
+
+def _broken(denoiser: stillray.Denoiser, share: float, kind: type = np.float32) -> float:
+    rng = np.random.default_rng(0)
+    color = np.full((HEIGHT, WIDTH, 3), 0.5, kind)
+    at = rng.random((HEIGHT, WIDTH)) < share
+    color[at] = rng.choice(np.array([np.nan, np.inf, -np.inf], kind), (at.sum(), 3))
+    return apart(run(denoiser, [Frame(color=color, motion=still())] * 3), 0.5)
+
+
+@case("1 % of a flat frame's pixels NaN, Inf or -Inf", "relative error", ROUNDING)
+def few_broken_pixels(denoiser: stillray.Denoiser) -> float:
+    return _broken(denoiser, 0.01)
+
+
+@case("half of a flat frame's pixels NaN, Inf or -Inf", "relative error", ROUNDING)
+def many_broken_pixels(denoiser: stillray.Denoiser) -> float:
+    return _broken(denoiser, 0.5)
+
+
+@case("all pixels NaN, Inf or -Inf", "largest value", 0)
+def nothing_but_broken_pixels(denoiser: stillray.Denoiser) -> float:
+    color = np.full((HEIGHT, WIDTH, 3), np.nan, np.float32)
+    color[::2] = np.inf
+    color[1::3] = -np.inf
+    return float(np.max(np.abs(run(denoiser, [Frame(color=color, motion=still())] * 3))))
+
+
+@case("a NaN beside a firefly of 3e38", "largest pixel / the surroundings", 8)
+def broken_pixel_beside_a_firefly(denoiser: stillray.Denoiser) -> float:
+    frame = _with_firefly(flat(0.5), 3e38)
+    frame.color[10, 13] = np.nan
+    image = run(denoiser, [frame])[-1]
+    return float(np.max(image)) / 0.5 if np.isfinite(image).all() else float("inf")
+
+
+@case("a tenth of the pixels negative", "difference from the same with zeros there", 0)
+def negative_radiance(denoiser: stillray.Denoiser) -> float:
+    below, zero = [], []
+    for index, frame in enumerate(noisy(3)):
+        at = np.random.default_rng(index).random((HEIGHT, WIDTH)) < 0.1
+        below.append(changed(frame, color=np.where(at[..., None], -3, frame.color)))
+        zero.append(changed(frame, color=np.where(at[..., None], 0, frame.color)))
+    return float(np.max(np.abs(np.subtract(run(denoiser, below), run(denoiser, zero)))))
+
+
+# the smallest float32 is 1e-45: 1e-40 has five digits
+@case("a flat frame of denormals, 1e-40", "relative error", 1e-3)
+def denormals(denoiser: stillray.Denoiser) -> float:
+    return apart(run(denoiser, [flat(1e-40)] * 3), np.float32(1e-40))
+
+
+@case("denormals in every second pixel", "relative error of a 2x2 mean, least and most", 0)
+def denormals_among_others(denoiser: stillray.Denoiser) -> float:
+    color = np.full((HEIGHT, WIDTH, 3), 1.0, np.float32)
+    color[::2] = 1e-42
+    images = np.array(run(denoiser, [Frame(color=color, motion=still())] * 3))
+    if not np.isfinite(images).all():
+        return float("inf")
+    return float(max(images.max() - 1 - ROUNDING, -images.min(), 0))
+
+
+@case("float16 buffers, 5 % of the color overflown to Inf", "relative error", ROUNDING)
+def half_precision_overflow(denoiser: stillray.Denoiser) -> float:
+    return _broken(denoiser, 0.05, np.float16)
+
+
+@case("float16 color of 65504, the largest", "relative error", ROUNDING)
+def half_precision_maximum(denoiser: stillray.Denoiser) -> float:
+    color = np.full((HEIGHT, WIDTH, 3), 65504, np.float16)
+    return apart(run(denoiser, [Frame(color=color, motion=still())] * 2), 65504)
+
+
+@case("flat frames of 0, 1e-6, 0.3, 6e4, 1e6, 1e20", "relative error", ROUNDING)
+def constant_frames(denoiser: stillray.Denoiser) -> float:
+    values = (0.0, 1e-6, 0.3, 6e4, 1e6, 1e20)
+    return max(apart(run(denoiser, [flat(value)] * 3), np.float32(value)) for value in values)
+
+
+@case("exposure scaled by 1e-6 to 1e6", "relative difference of the scaled result", 3e-3)
+def exposure_scaled(denoiser: stillray.Denoiser) -> float:
+    base, worst = run(denoiser, noisy(3)), 0.0
+    for scale in (1e-6, 1e-3, 1e3, 1e6):
+        images = run(denoiser, noisy(3, light=scale))
+        worst = max(worst, apart(np.array(images) / scale, base))
+    return worst
+
+
+@case("one pixel of 100 times its surroundings, for 32 still frames", "share of its light lost", 1)
+def single_bright_pixel(denoiser: stillray.Denoiser) -> float:
+    frames = [flat(0.1) for _ in range(32)]
+    for frame in frames:
+        frame.color[12, 16] = 10
+    image = run(denoiser, frames)[-1]
+    return float(1 - (image.sum() - 0.1 * image.size) / (3 * 9.9))
+
+
+CASES: list[Case] = [value for value in list(globals().values()) if isinstance(value, Case)]

@@ -1,0 +1,142 @@
+"""Hard cases of time: still cameras, cuts, lights and shadows that change."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+import stillray
+from tests.conftest import clean_color, make_frame
+from tests.hard_cases.case import (
+    HEIGHT,
+    WIDTH,
+    Case,
+    accumulated,
+    case,
+    changed,
+    noisy,
+    run,
+    truth,
+)
+
+LONG = 1000
+
+
+@lru_cache(maxsize=4)
+def _still_camera(denoiser: stillray.Denoiser) -> dict[str, np.ndarray]:
+    """1,000 still frames: mean light of each picture, of what was accumulated, and the error."""
+    spec = denoiser.model.spec
+    plain, held = np.zeros((HEIGHT, WIDTH, 3)), 0.0
+    found: dict[str, list[float]] = {"picture": [], "accumulated": [], "squared": []}
+    denoiser.reset()
+    for seed in range(LONG):
+        frame = make_frame(HEIGHT, WIDTH, seed)
+        image = denoiser.denoise(frame)
+        held = min(held, spec.temporal.max_samples) + 1
+        plain += (frame.color - plain) / held  # the same window of time
+        found["picture"].append(image.mean() / plain.mean())
+        found["accumulated"].append(accumulated(denoiser, frame).mean() / plain.mean())
+        found["squared"].append(float(np.mean((image - truth()) ** 2)))
+    return {name: np.array(values) for name, values in found.items()}
+
+
+@case("a still camera for 1,000 frames: what is accumulated", "relative error of its light", 1e-3)
+def still_camera_keeps_what_it_accumulates(denoiser: stillray.Denoiser) -> float:
+    return abs(float(_still_camera(denoiser)["accumulated"][20:].mean()) - 1)
+
+
+@case("the same: the picture", "relative error of its light", 1e-3)
+def still_camera_keeps_its_light(denoiser: stillray.Denoiser) -> float:
+    return abs(float(_still_camera(denoiser)["picture"][20:].mean()) - 1)
+
+
+@case("the same: frames 901 to 1,000 against 101 to 200", "relative change of its light", 1e-3)
+def still_camera_does_not_drift(denoiser: stillray.Denoiser) -> float:
+    light = _still_camera(denoiser)["picture"]
+    return abs(float(light[900:].mean() / light[100:200].mean()) - 1)
+
+
+@case("the same", "dB of PSNR lost", 0.2)
+def still_camera_leaves_no_ghost(denoiser: stillray.Denoiser) -> float:
+    squared = _still_camera(denoiser)["squared"]
+    return float(10 * np.log10(squared[900:].mean() / squared[100:200].mean()))
+
+
+def _unlike_fresh(denoiser: stillray.Denoiser, past: list, after: list) -> float:
+    """How far the last picture is from the same without the past, relative to its mean."""
+    fresh = run(denoiser, after)[-1]
+    image = run(denoiser, past + after)[-1]
+    return float(np.abs(image - fresh).mean() / fresh.mean())
+
+
+@case(
+    "every surface uncovered, light 20 times lower: one frame later",
+    "mean difference from no past / mean",
+    0.25,
+)
+def full_disocclusion_leaves_no_ghost(denoiser: stillray.Denoiser) -> float:
+    after = [
+        changed(frame, depth=frame.depth * 3, normal=frame.normal[..., ::-1].copy())
+        for frame in noisy(2, first=50, light=0.05)
+    ]
+    return _unlike_fresh(denoiser, noisy(12), after)
+
+
+@case(
+    "a cut that nobody told, to the mirrored scene with zero motion: 4 frames later",
+    "mean difference from no past / mean",
+    0.25,
+)
+def cut_without_reset(denoiser: stillray.Denoiser) -> float:
+    after = [
+        changed(
+            frame, color=frame.color[::-1], normal=np.roll(frame.normal, 1, axis=-1),
+            depth=frame.depth * 1.7,
+        )
+        for frame in noisy(4, first=50)
+    ]  # fmt: skip
+    return _unlike_fresh(denoiser, noisy(12), after)
+
+
+def _frames_to_follow(denoiser: stillray.Denoiser, before: float, after: float) -> float:
+    """Frames until the picture's mean is within 10 % of the new light, and stays."""
+    run(denoiser, noisy(20, light=before))
+    wanted, last = truth().mean() * after, 0
+    for index in range(1, 101):
+        (frame,) = noisy(1, first=100 + index, light=after)
+        if abs(denoiser.denoise(frame).mean() / wanted - 1) > 0.1:
+            last = index
+    return float(last + 1)
+
+
+@case("a light switched on, 10 times brighter", "frames until the picture is within 10 %", 40)
+def light_switched_on(denoiser: stillray.Denoiser) -> float:
+    return _frames_to_follow(denoiser, 0.1, 1.0)
+
+
+@case("a light switched off, 10 times darker", "frames until the picture is within 10 %", 80)
+def light_switched_off(denoiser: stillray.Denoiser) -> float:
+    return _frames_to_follow(denoiser, 1.0, 0.1)
+
+
+@case(
+    "a shadow of a fifth of the light crosses a still picture, 1 pixel a frame",
+    "mean error / mean light where it was 4 frames before",
+    1.0,
+)
+def moving_shadow(denoiser: stillray.Denoiser) -> float:
+    column, errors = np.arange(WIDTH), []
+    denoiser.reset()
+    for index in range(48):
+        left = index - 20
+        shadow = np.where((column >= left) & (column < left + 8), 0.2, 1.0)[None, :, None]
+        image = denoiser.denoise(changed(*noisy(1, first=index), color=noisy(1, first=index)[0].color * shadow))
+        trail = (column >= left - 4) & (column < left)
+        if index >= 28 and trail.any():
+            wanted = (clean_color(HEIGHT, WIDTH) * shadow)[:, trail]
+            errors.append(abs(image[:, trail].mean() / wanted.mean() - 1))
+    return float(np.mean(errors))
+
+
+CASES: list[Case] = [value for value in list(globals().values()) if isinstance(value, Case)]
