@@ -165,8 +165,7 @@ def fovvideovdp(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) 
 
 @cache
 def _fovvideovdp() -> Any:
-    import torch
     from pyfvvdp import fvvdp
 
     # on the processor wherever it runs, so that figures compare
-    return fvvdp(display_name=DISPLAY, quiet=True, device=torch.device("cpu"))
+    return fvvdp(display_name=DISPLAY, quiet=True, device="cpu")

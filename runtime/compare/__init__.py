@@ -1,0 +1,1 @@
+"""Comparing images: metrics against a reference, and a page that shows them side by side."""
