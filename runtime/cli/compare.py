@@ -88,7 +88,8 @@ def _print_figures(sources: Sources, summary: Summary) -> None:
     if not shown:
         return
     table = Table(box=None, pad_edge=False)
-    table.add_column("image" if len(sources.frames) == 1 else f"mean of {len(sources.frames)}")
+    measured = sum(frame.reference is not None for frame in sources.frames)
+    table.add_column("image" if len(sources.frames) == 1 else f"mean of frames: {measured}")
     for metric in shown:
         table.add_column(metric.title, justify="right")
     for label, row in zip(sources.labels, scores.table(summary.values, shown), strict=True):

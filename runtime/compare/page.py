@@ -255,8 +255,8 @@ def _check(sources: Sources, size: tuple[int, int], region: Region, max_megapixe
             factor += 1
         raise InputError(
             f"the page may carry {max_megapixels:g} million pixels, got "
-            f"{megapixels(region.downscale):.1f} in {pictures} pictures: --downscale {factor} fits, "
-            "or take a --crop, fewer --frames or more --max-megapixels"
+            f"{megapixels(region.downscale):.1f} in {pictures} pictures: --downscale {factor} "
+            "fits, or take a --crop, fewer --frames or more --max-megapixels"
         )
 
 

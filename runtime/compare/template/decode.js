@@ -53,8 +53,9 @@ function unpackMap(bytes, width, height) {
   return bytes;
 }
 
-// Decoded pictures by name; whoever asks too early is told by `whenDecoded` to ask again.
-function makeStore(width, height, whenDecoded, whenFailed) {
+// Decoded pictures by name; whoever asks too early is told by `whenDecoded` to ask again. Pictures
+// that are needed stay, however many they are.
+function makeStore(width, height, isNeeded, whenDecoded, whenFailed) {
   const ready = new Map();
   const waiting = new Set();
   let held = 0;
@@ -68,7 +69,8 @@ function makeStore(width, height, whenDecoded, whenFailed) {
       ready.set(name, pixels);
       held += pixels.byteLength;
       for (const [oldest, gone] of ready) {
-        if (held <= DECODED_BYTES || oldest === name) break;
+        if (held <= DECODED_BYTES) break;
+        if (isNeeded(oldest)) continue;
         ready.delete(oldest);
         held -= gone.byteLength;
       }

@@ -80,7 +80,7 @@ function notes(data, frame) {
   let size = `${width} × ${height} pixels`;
   if (data.cropped) size += `, cropped at ${data.origin.join(", ")}`;
   if (data.downscale > 1) size += `, shown at 1/${data.downscale}; figures are of every pixel`;
-  told.push(`${size}.`);
+  told.push(`${size}, half floats.`);
   frame.files.forEach((file, image) => {
     const bad = frame.not_finite[image];
     const clamped = frame.clamped[image];
@@ -90,7 +90,9 @@ function notes(data, frame) {
     }
     if (clamped) told.push(`${label}: ${clamped} above 65504, shown as that.`);
   });
-  if (data.metrics.length) {
+  if (data.metrics.length && !frame.has_reference) {
+    told.push("This frame has no reference.");
+  } else if (data.metrics.length) {
     told.push(
       `PSNR, SSIM and FLIP see the images at exposure ${signed(frame.exposure, 2)} stops ` +
         "(median of the reference to 0.2) and a power of 1/2.2, SMAPE and relative MSE exposed radiance.",
@@ -98,10 +100,11 @@ function notes(data, frame) {
     if (data.metrics.some((metric) => metric.name === "flicker")) {
       told.push("Flicker: mean error of the change from frame to frame.");
     }
+    told.push("Error of a pixel: mean absolute difference of its channels, not exposed.");
+    told.push("Signed: blue is darker than the reference, orange is brighter.");
   } else if (data.labels.length === data.images) {
     told.push("No reference, so no figures and no error maps.");
   }
-  told.push("Radiance is carried as half floats.");
   return told.join(" ");
 }
 

@@ -38,7 +38,8 @@ const fillPixel = makePixelTable(
 
 // ---- pictures -------------------------------------------------------------------------------
 
-const get = makeStore(width, height, schedule, (error) => {
+const isOfFrame = (name) => name.split("-")[1] === String(state.frame);
+const get = makeStore(width, height, isOfFrame, schedule, (error) => {
   console.error(error);
   say(
     "DecompressionStream" in window
@@ -54,13 +55,16 @@ function say(text) {
   find("message").hidden = !text;
 }
 
-const hasMap = (image) =>
-  frame().has_reference && (state.mode !== "flip" || image === reference || frame().has_flip[image]);
+function isThere(image) {
+  const { mode } = state;
+  if (mode === "image") return image !== reference || frame().has_reference;
+  return frame().has_reference && (mode !== "flip" || image === reference || frame().has_flip[image]);
+}
 
-// The image as it is to be shown; null until its pixels are there, undefined where it has no map.
+// The image as it is to be shown; null until its pixels are there, undefined where it never is.
 function shaded(image) {
   const { mode } = state;
-  if (mode !== "image" && !hasMap(image)) return undefined;
+  if (!isThere(image)) return undefined;
   const range = state.ranges[mode];
   const key = [state.frame, mode, mode === "relative" || mode === "flip" || state.exposure, range].join();
   let known = shadedPictures.get(image);
@@ -90,6 +94,7 @@ function shaded(image) {
 let scheduled = false;
 let panes = [];
 let scale = 1; // screen pixels an image pixel, as drawn last
+let drawnFrame = null;
 const ratio = () => window.devicePixelRatio || 1;
 
 function schedule() {
@@ -109,7 +114,9 @@ function draw() {
   panes = layPanes(state.layout, shown, state.split, ...size, width / height);
   scale = state.place.scale ?? fitScale(panes[0], width, height);
   const pictures = panes.map((pane) => shaded(pane.image));
-  if (!pictures.includes(null)) {
+  const isBusy = pictures.includes(null);
+  stage.setAttribute("aria-busy", String(isBusy));
+  if (!isBusy) {
     // all at once: a frame never shows beside another
     context.fillStyle = "#161616";
     context.fillRect(0, 0, canvas.width, canvas.height);
@@ -122,14 +129,14 @@ function draw() {
       }
     });
     say(pictures.includes(undefined) ? missing(pictures) : "");
-    canvas.dataset.drawn = String(Number(canvas.dataset.drawn ?? 0) + 1);
+    drawnFrame = state.frame;
   }
   drawOverlays();
   showPixel();
 }
 
 function missing(pictures) {
-  if (!frame().has_reference) return "This frame has no reference, so no error maps.";
+  if (!frame().has_reference) return "This frame has no reference.";
   const labels = panes.filter((_, i) => pictures[i] === undefined).map((p) => data.labels[p.image]);
   return `No FLIP of ${[...new Set(labels)].join(", ")}: it has NaN or infinite pixels.`;
 }
@@ -158,6 +165,7 @@ function drawOverlays() {
       }),
     );
   }
+  document.body.style.setProperty("--stacked", isSlider ? 1 : panes.length);
   find("zoom-value").textContent = `${Math.round(100 * scale)} %`;
   find("legend").hidden = state.mode === "image";
   const shown = isAll ? "All images" : `Left: ${data.labels[state.left]}. Right: ${data.labels[state.right]}`;
@@ -176,9 +184,8 @@ function drawLegend() {
   new Uint32Array(pixels.data.buffer).set(ramp);
   surface.putImageData(pixels, 0, 0);
   const isSigned = state.mode === "signed";
-  find("ramp-low").textContent = isSigned ? `−${range} too dark` : "0";
-  find("ramp-middle").textContent = isSigned ? "0" : String(range / 2);
-  find("ramp-high").textContent = isSigned ? `+${range} too bright` : `${range}`;
+  find("ramp-low").textContent = isSigned ? `−${range}` : "0";
+  find("ramp-high").textContent = isSigned ? `+${range}` : String(range);
   find("range").replaceChildren(
     ...ranges.map((value) => {
       const option = element("option", String(value), { value });
@@ -257,7 +264,7 @@ function setSplit(split) {
 function setFrame(index) {
   state.frame = (index + data.frames.length) % data.frames.length;
   find("frame").value = state.frame;
-  const text = `${frame().number} (${state.frame + 1} of ${data.frames.length})`;
+  const text = `frame ${frame().number} (${state.frame + 1} of ${data.frames.length})`;
   find("frame-value").textContent = text;
   find("frame").setAttribute("aria-valuetext", text);
   showFigures();
@@ -265,16 +272,17 @@ function setFrame(index) {
 }
 
 function showFigures() {
-  const rows = state.average === "mean" && data.frames.length > 1 ? data.means : frame().rows;
-  fillMetrics(find("metrics"), data, rows);
+  const isMean = state.average === "mean" && data.frames.length > 1;
+  fillMetrics(find("metrics"), data, isMean ? data.means : frame().rows);
   find("notes").textContent = notes(data, frame());
 }
 
 function setPlaying(playing) {
   clearInterval(state.playing);
-  state.playing = playing ? setInterval(() => setFrame(state.frame + 1), 1000 / FRAMES_PER_SECOND) : null;
+  // a frame that is still being unpacked is waited for
+  const step = () => drawnFrame === state.frame && setFrame(state.frame + 1);
+  state.playing = playing ? setInterval(step, 1000 / FRAMES_PER_SECOND) : null;
   find("play").textContent = playing ? "Stop" : "Play";
-  find("play").setAttribute("aria-pressed", String(playing));
 }
 
 // about a screen point, so that what lies there stays there
@@ -376,7 +384,7 @@ canvas.addEventListener("pointerleave", () => {
 stage.addEventListener(
   "wheel",
   (event) => {
-    if (event.target.closest("select, #legend")) return;
+    if (event.target.closest("select")) return;
     event.preventDefault();
     const point = screenPoint(event);
     const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 30 : 1;
@@ -500,7 +508,9 @@ find("time").hidden = find("average").hidden = !isSequence;
 for (const each of document.querySelectorAll(".of-time")) each.hidden = !isSequence;
 find("mode").hidden = reference === null;
 find("figures").hidden = data.metrics.length === 0;
-document.documentElement.style.setProperty("--aspect", width / height);
+const measured = data.frames.filter((each) => each.has_reference).length;
+find("mean-name").textContent = `Mean of ${measured} ${measured === 1 ? "frame" : "frames"}`;
+document.body.style.setProperty("--aspect", width / height);
 setExposure(state.exposure);
 setFrame(0);
 new ResizeObserver(schedule).observe(stage);
