@@ -10,10 +10,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-playwright = pytest.importorskip("playwright.sync_api")
+pytest.importorskip("playwright")
 pytest.importorskip("flip_evaluator")
 pytest.importorskip("skimage")
-colormaps = pytest.importorskip("matplotlib").colormaps
+pytest.importorskip("matplotlib")
+
+from matplotlib import colormaps
+from playwright.sync_api import expect, sync_playwright
 
 from stillray.cli import main
 from stillray.compare import metrics
@@ -33,9 +36,13 @@ SETTLE = """async () => {
   do { await turn(); await turn(); }
   while (document.getElementById("stage").getAttribute("aria-busy") === "true");
 }"""
-READ = """([x, y]) => Array.from(
-  document.getElementById("view").getContext("2d").getImageData(x, y, 1, 1).data.slice(0, 3)
-)"""
+# by way of a copy: the page's own canvas stays what it is
+READ = """([x, y]) => {
+  const copy = document.createElement("canvas");
+  const surface = copy.getContext("2d", { willReadFrequently: true });
+  surface.drawImage(view, x, y, 1, 1, 0, 0, 1, 1);
+  return Array.from(surface.getImageData(0, 0, 1, 1).data.slice(0, 3));
+}"""
 
 
 def write(path, image):
@@ -70,7 +77,7 @@ def files(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def browser():
-    with playwright.sync_playwright() as driver:
+    with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM)
         yield browser
         browser.close()
@@ -226,24 +233,28 @@ def test_one_stop_doubles_radiance_before_the_tone_curve(viewer, files):
     assert viewer.stops() == start
 
 
-def pane_pixels(viewer):
-    """The two halves of the canvas where a pair is shown."""
-    flat = viewer.page.evaluate(
+def pane_sums(viewer):
+    """A checksum of each half of the canvas where a pair is shown."""
+    return viewer.page.evaluate(
         """() => {
           const wide = Math.floor((view.width - 2) / 2);
-          const surface = view.getContext("2d");
-          return [0, wide + 2].map(
-            (x) => Array.from(surface.getImageData(x, 0, wide, view.height).data));
+          const copy = document.createElement("canvas");
+          [copy.width, copy.height] = [view.width, view.height];
+          const surface = copy.getContext("2d", { willReadFrequently: true });
+          surface.drawImage(view, 0, 0);
+          return [0, wide + 2].map((x) => {
+            const pixels = surface.getImageData(x, 0, wide, view.height).data;
+            return pixels.reduce((sum, value) => (Math.imul(sum, 31) + value) | 0, 7);
+          });
         }"""
     )
-    return [np.array(half, np.uint8) for half in flat]
 
 
 def test_pair_shares_zoom_and_place(viewer):
     viewer.choose("Pair")
     viewer.press("2", "Shift+Digit2")  # one image twice: the panes must always be equal
-    fitted = pane_pixels(viewer)
-    np.testing.assert_array_equal(*fitted)
+    fitted = pane_sums(viewer)
+    assert fitted[0] == fitted[1]
     box = viewer.page.locator("#view").bounding_box()
     x, y = box["x"] + 0.3 * box["width"], box["y"] + 0.6 * box["height"]
     viewer.page.mouse.move(x, y)
@@ -255,20 +266,18 @@ def test_pair_shares_zoom_and_place(viewer):
     assert viewer.page.locator("#pixel-title").inner_text() == pixel
     viewer.page.mouse.move(box["x"] + 2, box["y"] - 20)  # no marks of the pointer in the way
     viewer.settle()
-    zoomed = pane_pixels(viewer)
-    np.testing.assert_array_equal(*zoomed)
-    assert (zoomed[0] != fitted[0]).any()
+    zoomed = pane_sums(viewer)
+    assert zoomed[0] == zoomed[1] != fitted[0]
     viewer.page.mouse.move(box["x"] + 0.8 * box["width"], y)
     viewer.page.mouse.down()
     viewer.page.mouse.move(box["x"] + 0.8 * box["width"] - 90, y + 35, steps=3)
     viewer.page.mouse.up()
     viewer.page.mouse.move(box["x"] + 2, box["y"] - 20)
     viewer.settle()
-    moved = pane_pixels(viewer)
-    np.testing.assert_array_equal(*moved)
-    assert (moved[0] != zoomed[0]).any()
+    moved = pane_sums(viewer)
+    assert moved[0] == moved[1] != zoomed[0]
     viewer.press("f")
-    np.testing.assert_array_equal(pane_pixels(viewer)[0], fitted[0])
+    assert pane_sums(viewer) == fitted
 
 
 def test_one_to_one_is_pixel_on_pixel(viewer, files):
@@ -294,7 +303,7 @@ def test_metrics_table_is_what_the_library_measures(viewer, files):
     assert [row[0] for row in rows] == ["noisy", "clean"]
     for row in rows:
         values = metrics.evaluate([files.images[row[0]]], [files.images["reference"]], names=NAMES)
-        figures = [text.removesuffix(" best") for text in row[1:]]
+        figures = [text.split()[0] for text in row[1:]]  # "best" is there to be heard
         assert figures == [format(values[name], formats[name]) for name in NAMES]
     assert best == rows[1][1:]  # the clean image, in everything
 
@@ -387,6 +396,7 @@ def test_keys_and_menus_choose_the_images(viewer, files):
     viewer.settle()
     expected = shown(files.images["clean"][4, 2], viewer.stops())
     np.testing.assert_allclose(viewer.colour(*viewer.point(4, 2)), expected, atol=1)
+    left.focus()
     viewer.press("l")
     assert viewer.page.get_by_role("radio", name="Slider").is_checked()  # menus keep letters
     viewer.page.locator("#stage").focus()
@@ -408,14 +418,13 @@ def test_everything_that_can_be_focused_has_a_name(viewer):
     assert 'slider "Exposure"' in tree
 
 
-@pytest.mark.parametrize("width", [390, 760, 1280])
-@pytest.mark.parametrize("layout", ["Slider", "All"])
+@pytest.mark.parametrize(("width", "layout"), [(390, "Slider"), (390, "All"), (1280, "Pair")])
 def test_nothing_is_wider_than_the_window(files, open_page, width, layout):
     viewer = open_page(files.page, width=width, height=844, device_scale_factor=2)
     viewer.choose(layout)
     viewer.choose("Signed")
     assert viewer.page.evaluate("document.scrollingElement.scrollWidth") <= width
-    for control in viewer.page.locator("button, select, output, #legend > *").all():
+    for control in viewer.page.locator("button, select, output, #zoom-value, #legend > *").all():
         if control.is_visible():
             box = control.bounding_box()
             assert box["x"] >= 0
@@ -453,7 +462,7 @@ def test_pixels_that_are_not_finite_stand_out(files, open_page):
     viewer.choose("Absolute")
     assert viewer.colour(*viewer.point(4, 2)).tolist() == [0, 255, 0]
     viewer.choose("FLIP")
-    assert "No FLIP of broken" in viewer.page.get_by_role("status").inner_text()
+    assert "No FLIP of broken" in viewer.page.locator("#message").inner_text()
 
 
 def test_sequence_shows_its_frames_and_their_figures(files, open_page):
@@ -487,10 +496,10 @@ def test_sequence_shows_its_frames_and_their_figures(files, open_page):
     viewer.press(".")  # around to the first, which has no reference
     assert {text for row in viewer.table("metrics") for text in row[1:]} == {"–"}
     viewer.choose("Absolute")
-    assert viewer.page.get_by_role("status").inner_text() == "This frame has no reference."
+    assert viewer.page.locator("#message").inner_text() == "This frame has no reference."
     viewer.press("l", "l")  # all images, of which one is not there
     viewer.choose("Image")
-    assert viewer.page.get_by_role("status").inner_text() == "This frame has no reference."
+    assert viewer.page.locator("#message").inner_text() == "This frame has no reference."
     viewer.page.get_by_role("button", name="Play").click()
-    viewer.page.wait_for_function("document.getElementById('frame').value === '2'")
+    expect(slider).to_have_value("2", timeout=60_000)
     viewer.page.get_by_role("button", name="Stop").click()

@@ -73,29 +73,28 @@ function makePixelTable(table, labels, hasReference, hasFlip) {
   };
 }
 
-// What a reader must know to trust the figures, in words.
-function notes(data, frame) {
-  const told = [];
+// What a reader must know to trust the figures, in words. The same for all frames: a text that
+// grows and shrinks would move the images.
+function notes(data) {
   const [width, height] = data.full_size;
   let size = `${width} × ${height} pixels`;
   if (data.cropped) size += `, cropped at ${data.origin.join(", ")}`;
   if (data.downscale > 1) size += `, shown at 1/${data.downscale}; figures are of every pixel`;
-  told.push(`${size}, half floats.`);
-  frame.files.forEach((file, image) => {
-    const bad = frame.not_finite[image];
-    const clamped = frame.clamped[image];
-    const label = data.labels[image];
-    if (bad) {
-      told.push(`${label}: ${bad} ${bad === 1 ? "pixel is" : "pixels are"} NaN or infinite, so it has no figures.`);
-    }
-    if (clamped) told.push(`${label}: ${clamped} above 65504, shown as that.`);
+  const told = [`${size}, half floats.`];
+  data.labels.forEach((label, image) => {
+    const sum = (counts) => data.frames.reduce((all, frame) => all + (frame[counts][image] ?? 0), 0);
+    const bad = sum("not_finite");
+    const clamped = sum("clamped");
+    const are = (count) => `${count} ${count === 1 ? "pixel is" : "pixels are"}`;
+    if (bad) told.push(`${label}: ${are(bad)} NaN or infinite, so there are no figures.`);
+    if (clamped) told.push(`${label}: ${are(clamped)} above 65504, shown as that.`);
   });
-  if (data.metrics.length && !frame.has_reference) {
-    told.push("This frame has no reference.");
-  } else if (data.metrics.length) {
+  if (data.metrics.length) {
+    const exposures = data.frames.filter((frame) => frame.has_reference).map((frame) => frame.exposure);
+    const ends = [...new Set([Math.min(...exposures), Math.max(...exposures)].map((at) => signed(at, 2)))];
     told.push(
-      `PSNR, SSIM and FLIP see the images at exposure ${signed(frame.exposure, 2)} stops ` +
-        "(median of the reference to 0.2) and a power of 1/2.2, SMAPE and relative MSE exposed radiance.",
+      `PSNR, SSIM and FLIP see the images at exposure ${ends.join(" to ")} stops (median of the ` +
+        "reference to 0.2) and a power of 1/2.2, SMAPE and relative MSE exposed radiance.",
     );
     if (data.metrics.some((metric) => metric.name === "flicker")) {
       told.push("Flicker: mean error of the change from frame to frame.");

@@ -274,7 +274,6 @@ function setFrame(index) {
 function showFigures() {
   const isMean = state.average === "mean" && data.frames.length > 1;
   fillMetrics(find("metrics"), data, isMean ? data.means : frame().rows);
-  find("notes").textContent = notes(data, frame());
 }
 
 function setPlaying(playing) {
@@ -509,6 +508,7 @@ for (const each of document.querySelectorAll(".of-time")) each.hidden = !isSeque
 find("mode").hidden = reference === null;
 find("figures").hidden = data.metrics.length === 0;
 const measured = data.frames.filter((each) => each.has_reference).length;
+find("notes").textContent = notes(data);
 find("mean-name").textContent = `Mean of ${measured} ${measured === 1 ? "frame" : "frames"}`;
 document.body.style.setProperty("--aspect", width / height);
 setExposure(state.exposure);
