@@ -230,6 +230,8 @@ def test_sequences_are_paired_by_number(shots):
     assert sources.labels == ("a", "b")
     only = pair(["a.####.exr", "b.####.exr"], frames="2-3")
     assert [frame.number for frame in only.frames] == [2]
+    assert only.left_out == (3,)
+    assert pair(["a.####.exr", "b.####.exr"], frames="1-2").left_out == ()
 
 
 def test_sequence_page_has_flicker_of_frames_that_follow_each_other_and_means(shots, capsys):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from stillray.compare import MAX_MEGAPIXELS
 from stillray.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def compare(
     ] = 1,
     max_megapixels: Annotated[
         float, typer.Option(help="Limit of the pixels on the page, all images and frames.")
-    ] = 25,
+    ] = MAX_MEGAPIXELS,
 ) -> None:
     """Compare images on one self-contained HTML page."""
     from stillray.compare.page import Region, write_page

@@ -15,16 +15,12 @@ from typing import IO, Any
 
 import numpy as np
 
-from stillray.compare import metrics, scores
+from stillray.compare import MAX_MEGAPIXELS, metrics, scores
 from stillray.compare.pixels import box_average, pack_map, pack_radiance
 from stillray.compare.sources import FrameFiles, Sources
 from stillray.display import display_exposure
 from stillray.errors import InputError
 from stillray.exr import atomic_path, read_exr, read_metadata
-
-#: Pixels that a page carries unless told otherwise, all images and frames together: it is then
-#: about 100 MB, which browsers open in seconds.
-MAX_MEGAPIXELS = 25.0
 
 _SCRIPTS = ("decode.js", "shade.js", "stage.js", "tables.js", "viewer.js")
 _PIXELS_HERE = "<!-- pixels -->"
@@ -52,7 +48,7 @@ class Summary:
     """What was written: bytes, and the figures of the images, means where there are frames."""
 
     size_bytes: int
-    values: list[scores.Values]
+    values: Sequence[scores.Values]
 
 
 def write_page(
@@ -155,7 +151,7 @@ def _data(
     sources: Sources,
     frames: list[dict[str, Any]],
     measured: list[list[scores.Values]],
-    means: list[scores.Values],
+    means: Sequence[scores.Values],
     size: tuple[int, int],
     region: Region,
 ) -> dict[str, Any]:

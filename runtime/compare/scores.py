@@ -57,7 +57,7 @@ def measure(
     return values, errors
 
 
-def means(frames: Sequence[Sequence[Values]]) -> list[Values]:
+def means(frames: Sequence[Sequence[Values]]) -> Sequence[Values]:
     """Mean over frames, a row an image.
 
     An image that lacks a figure in a frame where another has it gets none: means over
@@ -66,10 +66,10 @@ def means(frames: Sequence[Sequence[Values]]) -> list[Values]:
     count = len(frames[0])
     rows: list[dict[str, float]] = [{} for _ in range(count)]
     for name in NAMES:
-        measured = [rows for rows in frames if any(name in row for row in rows)]
+        measured = [frame for frame in frames if any(name in row for row in frame)]
         for image in range(count):
-            if measured and all(name in rows[image] for rows in measured):
-                rows[image][name] = float(np.mean([rows[image][name] for rows in measured]))
+            if measured and all(name in frame[image] for frame in measured):
+                rows[image][name] = float(np.mean([frame[image][name] for frame in measured]))
     return rows
 
 

@@ -26,7 +26,7 @@ class FrameFiles:
 
 @dataclass(frozen=True, kw_only=True)
 class Sources:
-    """Images by label, frame by frame; ``left_out`` are frame numbers that not all images have."""
+    """Images by label, frame by frame; ``left_out`` are wanted frames that not all images have."""
 
     labels: tuple[str, ...]
     reference_label: str | None
@@ -98,7 +98,13 @@ def pair(
             )
             for key in keys
         ),
-        left_out=tuple(sorted(n for n in anywhere - everywhere if n is not None)),
+        left_out=tuple(
+            sorted(
+                n
+                for n in anywhere - everywhere
+                if n is not None and (wanted is None or n in wanted)
+            )
+        ),
     )
 
 
