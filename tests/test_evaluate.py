@@ -9,9 +9,10 @@ import pytest
 pytest.importorskip("flip_evaluator")
 pytest.importorskip("skimage")
 
+from stillray.compare import metrics
 from stillray.errors import InputError
 from stillray.exr import read_exr, write_channels
-from stillray.training import evaluate, metrics
+from stillray.training import evaluate
 from stillray.training.peers import PEERS, find_peer
 from tests.conftest import clean_color, make_frame
 

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("flip_evaluator")
 pytest.importorskip("skimage")
 
-from stillray.training import metrics
+from stillray.compare import metrics
 
 
 @pytest.fixture

@@ -21,6 +21,8 @@ from rich.console import Console
 from rich.progress import track
 
 from stillray.cli import program
+from stillray.compare import metrics
+from stillray.compare.metrics import METRICS
 from stillray.denoiser import Denoiser
 from stillray.display import display_exposure, tone_map, write_png
 from stillray.errors import InputError
@@ -29,8 +31,6 @@ from stillray.frame import Frame
 from stillray.prepare import History, prepare
 from stillray.registry import find_model, list_models
 from stillray.strips import Strips
-from stillray.training import metrics
-from stillray.training.metrics import METRICS
 from stillray.training.peers import PEERS, find_peer
 
 Scores = dict[str, dict[str, dict[str, float]]]  # method -> scene -> metric -> value

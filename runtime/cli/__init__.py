@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import typer
 
+from stillray.cli.compare import compare
 from stillray.cli.denoise import denoise
 from stillray.cli.info import info
 from stillray.cli.models import models
@@ -26,7 +27,7 @@ def build_app() -> typer.Typer:
         rich_markup_mode=None,
     )
     app.callback()(_version_option)
-    for command in (denoise, info, models):
+    for command in (compare, denoise, info, models):
         app.command()(command)
     return app
 

@@ -1,12 +1,12 @@
 """Image metrics: exposure and tone mapping as the validation set states them, then the usual ones.
 
 PSNR, SSIM, FLIP, flicker and FovVideoVDP see tone-mapped images; SMAPE and relative MSE see exposed
-radiance. A metric whose package is not installed is left out.
+radiance. A metric whose package is not installed is left out; `require` makes that an error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from stillray.display import display_exposure, tone_map
+from stillray.errors import InputError
 
 SMAPE_EPSILON = 0.01  # exposed radiance (Fan et al. 2021, eq. 6)
 RELATIVE_MSE_EPSILON = 0.01  # exposed radiance, squared units
@@ -33,6 +34,7 @@ class Metric:
     format: str
     module: str  # what has to be importable
     package: str  # what to install for that
+    higher_is_better: bool = False
 
     @property
     def is_installed(self) -> bool:
@@ -43,9 +45,13 @@ class Metric:
 #: Every metric, in the order of the tables.
 METRICS = (
     Metric(
-        name="psnr", title="PSNR dB ↑", format=".2f", module="skimage", package="scikit-image"
+        name="psnr", title="PSNR dB ↑", format=".2f", module="skimage", package="scikit-image",
+        higher_is_better=True,
     ),
-    Metric(name="ssim", title="SSIM ↑", format=".3f", module="skimage", package="scikit-image"),
+    Metric(
+        name="ssim", title="SSIM ↑", format=".3f", module="skimage", package="scikit-image",
+        higher_is_better=True,
+    ),
     Metric(name="smape", title="SMAPE ↓", format=".4f", module="numpy", package="numpy"),
     Metric(name="relmse", title="relative MSE ↓", format=".3g", module="numpy", package="numpy"),
     Metric(
@@ -54,19 +60,37 @@ METRICS = (
     Metric(name="flicker", title="flicker ↓", format=".4f", module="numpy", package="numpy"),
     Metric(
         name="fovvideovdp", title="FovVideoVDP JOD ↑", format=".2f", module="pyfvvdp",
-        package="pyfvvdp",
+        package="pyfvvdp", higher_is_better=True,
     ),
 )  # fmt: skip
 
 
-def evaluate(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) -> dict[str, float]:
-    """All metrics that can be measured here.
+def require(names: Collection[str]) -> None:
+    """Raise `InputError` where the package of one of these metrics is not installed."""
+    absent = [metric for metric in METRICS if metric.name in names and not metric.is_installed]
+    if absent:
+        packages = ", ".join(dict.fromkeys(metric.package for metric in absent))
+        raise InputError(
+            f"{', '.join(metric.name for metric in absent)} must be measured with {packages}, "
+            "which is not installed: pip install 'stillray[compare]'"
+        )
+
+
+def evaluate(
+    images: Sequence[np.ndarray],
+    references: Sequence[np.ndarray],
+    *,
+    names: Collection[str] | None = None,
+) -> dict[str, float]:
+    """All metrics that can be measured here, or those named.
 
     Parameters
     ----------
     images, references : (h, w, 3) float32 each
         Scene-linear radiance of consecutive frames, one or more. Exposure is that of the last
         reference, and metrics of an image are those of the last one.
+    names
+        Names out of `METRICS`; None for all.
 
     Returns
     -------
@@ -83,30 +107,56 @@ def evaluate(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) -> 
         "smape": float(np.mean(np.abs(a - b) / (np.abs(a) + np.abs(b) + SMAPE_EPSILON))),
         "relmse": float(np.mean((a - b) ** 2 / (b**2 + RELATIVE_MSE_EPSILON))),
     }
-    installed = {metric.name for metric in METRICS if metric.is_installed}
-    if "psnr" in installed:
+    measured = {
+        metric.name
+        for metric in METRICS
+        if metric.is_installed and (names is None or metric.name in names)
+    }
+    if measured & {"psnr", "ssim"}:
         from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-        values["psnr"] = float(peak_signal_noise_ratio(wanted, shown, data_range=1.0))
+        with np.errstate(divide="ignore"):  # equal images: infinitely many decibels
+            values["psnr"] = float(peak_signal_noise_ratio(wanted, shown, data_range=1.0))
         values["ssim"] = float(
             structural_similarity(wanted, shown, channel_axis=-1, data_range=1.0)
         )
-    if "flip" in installed:
-        import flip_evaluator
-
-        _, flip, _ = flip_evaluator.evaluate(
-            wanted.astype(np.float32),
-            shown.astype(np.float32),
-            "LDR",
-            inputsRGB=True,
-            applyMagma=False,
-        )
-        values["flip"] = float(flip)
+    if "flip" in measured:
+        _, values["flip"] = flip(image, reference)
     if len(images) > 1:
         values["flicker"] = flicker(images[-2], image, references[-2], reference)
-        if "fovvideovdp" in installed:
+        if "fovvideovdp" in measured:
             values["fovvideovdp"] = fovvideovdp(images, references)
-    return {metric.name: values[metric.name] for metric in METRICS if metric.name in values}
+    return {
+        metric.name: values[metric.name]
+        for metric in METRICS
+        if metric.name in measured and metric.name in values
+    }
+
+
+def flip(image: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, float]:
+    """FLIP of tone-mapped images (Andersson et al. 2020), 67 pixels a degree.
+
+    Parameters
+    ----------
+    image, reference : (h, w, 3) float32
+        Scene-linear radiance, exposed for the reference.
+
+    Returns
+    -------
+    map : (h, w) float32
+        Error of each pixel in [0, 1].
+    mean : float
+    """
+    import flip_evaluator
+
+    exposure = display_exposure(reference)
+    shown, wanted = (
+        tone_map(picture, exposure).astype(np.float32) for picture in (image, reference)
+    )
+    errors, mean, _ = flip_evaluator.evaluate(
+        wanted, shown, "LDR", inputsRGB=True, applyMagma=False
+    )
+    return errors[..., 0], float(mean)
 
 
 def flicker(
@@ -165,8 +215,7 @@ def fovvideovdp(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) 
 
 @cache
 def _fovvideovdp() -> Any:
-    import torch
     from pyfvvdp import fvvdp
 
     # on the processor wherever it runs, so that figures compare
-    return fvvdp(display_name=DISPLAY, quiet=True, device=torch.device("cpu"))
+    return fvvdp(display_name=DISPLAY, quiet=True, device="cpu")
