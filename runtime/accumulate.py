@@ -145,10 +145,12 @@ def accumulate(
     """
     scratch = scratch or Scratch()
     samples = planes[3]
-    np.clip(samples, np.float32(0), np.float32(options.max_samples), out=samples)
-    samples += weight
+    rest = scratch.array("rest", samples.shape)
+    np.clip(samples, np.float32(0), np.float32(options.max_samples), out=rest)
+    np.add(rest, weight, out=samples)
     share = np.divide(weight, samples, out=scratch.array("share", samples.shape))
-    rest = np.subtract(1, share, out=scratch.array("rest", samples.shape))
+    # not 1 - share: a past that is worth little would lose its digits, and it may be very bright
+    rest /= samples
     new = planes_of(irradiance, out=scratch.array("new", (3, *samples.shape)))
     # mean + share (new - mean) cancels where a firefly meets a dark past; two products do not
     planes[:3] *= rest
