@@ -9,7 +9,6 @@ from stillray.models_spec.loader import Temporal
 from stillray.scratch import Scratch
 from stillray.strips import planes_of
 
-
 #: Exposed irradiance below which surroundings no longer count as darker.
 DARK = 0.02
 #: Share of ``outlier_ratio`` that a pixel's first sample may stand above its surroundings.

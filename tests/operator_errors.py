@@ -242,6 +242,28 @@ def _pyramid(given: Inputs) -> float:
     return _relative(got, wanted)
 
 
+def _fuse(given: Inputs) -> float:
+    """A block's branches, fused into one convolution in float32, beside the branches in float64."""
+    import torch
+
+    from stillray.export.fuse import fuse
+    from stillray.training.networks.repvgg import RepVGGBlock, by_branches
+
+    block = RepVGGBlock(4, 4, (3, 1), identity=True, activation=True)
+    weights = torch.from_numpy(given["weights"].copy())
+    torch.nn.utils.vector_to_parameters(weights, block.parameters())
+    image = torch.from_numpy(given["image"])[None]
+    with torch.no_grad():
+        got = fuse(block)(image)
+        with by_branches(block):
+            wanted = block.double()(image.double())
+        size = torch.nn.utils.parameters_to_vector(block.parameters()).abs()
+        torch.nn.utils.vector_to_parameters(size, block.parameters())
+        with by_branches(block):
+            products = block(image.double().abs())
+    return float(((got - wanted).abs() / products).max())
+
+
 def _radiance(*shape: int) -> tuple[tuple[int, ...], float, float, bool]:
     return shape, 1e-20, _MAX, True
 
@@ -269,7 +291,9 @@ OPERATORS = [
         name="demodulate, then modulate", error=_modulate, limit=2e-7,
         ranges={"albedo": ((_H, _W, 3), 1e-5, 1, True), "radiance": _radiance(_H, _W, 3)},
     ),
-    Operator(name="luminance", error=_luminance, limit=5e-7, ranges={"color": _radiance(_H, _W, 3)}),
+    Operator(
+        name="luminance", error=_luminance, limit=5e-7, ranges={"color": _radiance(_H, _W, 3)}
+    ),
     Operator(
         name="expose", error=_expose, limit=2e-6, ranges={"light": ((24, 40), 1e-20, 1e20, True)}
     ),
@@ -326,6 +350,12 @@ OPERATORS = [
             "light": _radiance(_H, _W, 3), "new": _radiance(_H, _W, 3), "held": _SAMPLES,
             "albedo": ((_H, _W, 3), 1e-5, 1, True), "past": _radiance(_H, _W, 3),
             "valid": ((_H, _W), 0, 1, False), "logits": ((_LOGITS,), -15, 15, False),
+        },
+    ),
+    Operator(
+        name="fuse a block's branches", error=_fuse, limit=1e-6, unit="its terms' sizes",
+        ranges={
+            "weights": ((4 * 4 * (9 + 1) + 8,), -3, 3, False), "image": ((4, 7, 9), -10, 10, False)
         },
     ),
 ]  # fmt: skip

@@ -1,8 +1,8 @@
 """Search for the inputs that an operator of the runtime computes worst.
 
 A climb from random inputs: values are redrawn, made equal, or set to the ends of their range, and
-what makes the error larger is kept. Bounded by steps in the tests; ``STILLRAY_SEARCH_SECONDS`` makes
-it as long as one likes, and `markdown` writes what it found.
+what makes the error larger is kept. Bounded by steps in the tests; ``STILLRAY_SEARCH_SECONDS``
+makes it as long as one likes, and `markdown` writes what it found.
 """
 
 from __future__ import annotations
@@ -39,9 +39,7 @@ class Found:
     tried: int
 
 
-def search(
-    operator: Operator, *, steps: int, seconds: float = 0.0, seed: int = 0
-) -> Found:
+def search(operator: Operator, *, steps: int, seconds: float = 0.0, seed: int = 0) -> Found:
     """Climb for some steps, or for some seconds if that is longer."""
     rng = np.random.default_rng(seed)
     until = time.monotonic() + seconds

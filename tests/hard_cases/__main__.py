@@ -68,7 +68,9 @@ def main() -> None:
 def cases_table() -> str:
     """A row a case, a column a model and provider."""
     columns = models_and_providers()
-    heads = [f"{model}, {provider.removesuffix('ExecutionProvider')}" for model, provider in columns]
+    heads = [
+        f"{model}, {provider.removesuffix('ExecutionProvider')}" for model, provider in columns
+    ]
     lines = ["| input | what must hold | limit | " + " | ".join(heads) + " |"]
     lines.append("|---" * (3 + len(columns)) + "|")
     denoisers = [

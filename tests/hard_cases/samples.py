@@ -95,9 +95,7 @@ def cluster_of_huge_fireflies(denoiser: stillray.Denoiser) -> float:
     return _clusters(denoiser, 1e8, 0)
 
 
-@case(
-    "the cluster of 1e8, 16 frames after it has gone", "largest pixel / the same without it", 20
-)
+@case("the cluster of 1e8, 16 frames after it has gone", "largest pixel / the same without it", 20)
 def cluster_of_huge_fireflies_later(denoiser: stillray.Denoiser) -> float:
     return _clusters(denoiser, 1e8, 16)
 
