@@ -144,7 +144,7 @@ def _weight(given: Inputs) -> float:
     got = accumulate.sample_weight(light, local, held, 1.5, SPEC.temporal)
     toned = np.clip(local.astype(np.float64), 0, 0.9999)
     ratio = accumulate.FIRST_SHARE * SPEC.temporal.outlier_ratio
-    many = 1 + np.minimum(held.astype(np.float64), SPEC.temporal.max_samples)
+    many = 1 + held.astype(np.float64)
     relative = light.astype(np.float64) * 1.5
     relative /= ratio * many * (toned / (1 - toned) + accumulate.DARK)
     return _relative(got, 1 / (1 + relative**2 / (1 + relative)))
@@ -309,7 +309,7 @@ OPERATORS = [
         name="outlier weight", error=_weight, limit=2e-6,
         ranges={
             "light": _radiance(_H, _W), "local": ((_H, _W), 1e-6, 0.9998, True),
-            "held": ((_H, _W), 0, 40, False),
+            "held": ((_H, _W), 0, 17, False),
         },
     ),
     Operator(
