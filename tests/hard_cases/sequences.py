@@ -64,14 +64,14 @@ def still_camera_keeps_its_light(denoiser: stillray.Denoiser) -> float:
     return abs(float(_still_camera(denoiser)["picture"][20:].mean()) - 1)
 
 
-# a mean over 480 frames of so small a picture is known to 0.3 %
+# means over 480 frames of so small a picture are known to 0.3 % and 0.3 dB
 @case("the same: the second half against the first", "relative change of its light", 5e-3)
 def still_camera_does_not_drift(denoiser: stillray.Denoiser) -> float:
     light = _still_camera(denoiser)["picture"]
     return abs(float(light[500:].mean() / light[20:500].mean()) - 1)
 
 
-@case("the same: the second half against the first", "dB of PSNR lost", 0.2)
+@case("the same: the second half against the first", "dB of PSNR lost", 0.5)
 def still_camera_leaves_no_ghost(denoiser: stillray.Denoiser) -> float:
     squared = _still_camera(denoiser)["squared"]
     return float(10 * np.log10(squared[500:].mean() / squared[20:500].mean()))
