@@ -9,7 +9,6 @@ from stillray.models_spec.loader import Temporal
 from stillray.scratch import Scratch
 from stillray.strips import planes_of
 
-
 #: Exposed irradiance below which surroundings no longer count as darker.
 DARK = 0.02
 #: Share of ``outlier_ratio`` that a pixel's first sample may stand above its surroundings.
@@ -19,6 +18,8 @@ MIN_WEIGHT = 0.1
 #: Weight of what was filled in from neighbours: better than nothing, and than nothing else.
 FILLED_WEIGHT = 1e-6
 _HUGE = np.float32(1e37)  # relative brightness that float32 still holds, with its reciprocal
+# Up to it a luminance of 1e31, over `DARK`, stays below `_HUGE`; frames of normal exposure do.
+_SAFE_SCALE = 1e4
 
 
 def sample_weight(
@@ -54,7 +55,8 @@ def sample_weight(
         Tone-mapped local luminance ``t = s e / (1 + s e)`` in [0, 1), see
         `stillray.encode.local_luminance`.
     held : (h, w) float32 or None
-        Samples of the past at these pixels, >= 0; None where there is no past.
+        Samples of the past at these pixels, >= 0, at most ``max_samples + 1`` as `accumulate`
+        leaves them; None where there is no past.
     exposure
         ``e``, 1 / irradiance.
     options
@@ -75,14 +77,14 @@ def sample_weight(
     usual /= np.subtract(1, usual, out=weight)
     usual += np.float32(DARK)
     if held is not None:
-        np.clip(held, np.float32(0), np.float32(options.max_samples), out=weight)
-        weight += 1
-        usual *= weight
+        usual *= np.add(held, 1, out=weight)
     # x, then x / (1 + x) in place of usual: no square, which would leave float32
     np.divide(luminance, usual, out=weight)
+    scale = np.float32(exposure / (FIRST_SHARE * options.outlier_ratio))
     with np.errstate(over="ignore"):
-        weight *= np.float32(exposure / (FIRST_SHARE * options.outlier_ratio))
-    np.minimum(weight, _HUGE, out=weight)
+        weight *= scale
+    if scale > _SAFE_SCALE:
+        np.minimum(weight, _HUGE, out=weight)
     np.add(weight, 1, out=usual)
     np.divide(weight, usual, out=usual)
     weight *= usual
@@ -90,7 +92,7 @@ def sample_weight(
     return np.reciprocal(weight, out=weight)
 
 
-def bound(irradiance: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def bound(irradiance: np.ndarray, weight: np.ndarray, out: np.ndarray) -> np.ndarray:
     """Raise weights to `MIN_WEIGHT`, and make those samples darker in turn.
 
     A weight of next to nothing does not bound what a sample does where nothing else is known: in a
@@ -103,9 +105,12 @@ def bound(irradiance: np.ndarray, weight: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     irradiance : (h, w, 3) float32
-        Samples; not changed.
+        Samples.
     weight : (h, w) float32
         Changed where it is below.
+    out : (h, w, 3) float32
+        Where the result lies if a weight was below; may be ``irradiance``, which is not changed
+        otherwise.
 
     Returns
     -------
@@ -114,11 +119,13 @@ def bound(irradiance: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """
     if weight.min() >= MIN_WEIGHT:
         return irradiance
-    low = weight < MIN_WEIGHT
-    bounded = irradiance.copy()
-    bounded[low] *= weight[low, None] / np.float32(MIN_WEIGHT)
-    weight[low] = MIN_WEIGHT
-    return bounded
+    if out is not irradiance:
+        np.copyto(out, irradiance)
+    # fireflies are few: a list of them is faster than masks
+    low = np.flatnonzero(weight < MIN_WEIGHT)
+    out.reshape(-1, 3)[low] *= weight.reshape(-1)[low, None] / np.float32(MIN_WEIGHT)
+    weight.reshape(-1)[low] = MIN_WEIGHT
+    return out
 
 
 def accumulate(
@@ -145,10 +152,12 @@ def accumulate(
     """
     scratch = scratch or Scratch()
     samples = planes[3]
-    np.clip(samples, np.float32(0), np.float32(options.max_samples), out=samples)
-    samples += weight
+    rest = scratch.array("rest", samples.shape)
+    np.clip(samples, np.float32(0), np.float32(options.max_samples), out=rest)
+    np.add(rest, weight, out=samples)
     share = np.divide(weight, samples, out=scratch.array("share", samples.shape))
-    rest = np.subtract(1, share, out=scratch.array("rest", samples.shape))
+    # not 1 - share: a past that is worth little would lose its digits, and it may be very bright
+    rest /= samples
     new = planes_of(irradiance, out=scratch.array("new", (3, *samples.shape)))
     # mean + share (new - mean) cancels where a firefly meets a dark past; two products do not
     planes[:3] *= rest

@@ -172,10 +172,10 @@ def prepare(
             scratch,
         )
         irradiance = buffers.color[rows]
+        own = scratch.array("irradiance", irradiance.shape)
         if divide_by is not None:
-            out = scratch.array("irradiance", irradiance.shape)
-            irradiance = np.divide(irradiance, divide_by[rows], out=out)
-        irradiance = acc.bound(irradiance, weight)
+            irradiance = np.divide(irradiance, divide_by[rows], out=own)
+        irradiance = acc.bound(irradiance, weight, own)
         if buffers.broken is not None:
             weight[buffers.broken[rows]] = acc.FILLED_WEIGHT
         if planes is None:

@@ -18,6 +18,7 @@ _FOUR_TRUE = np.ones(4, bool).view(np.uint32)[0]
 _NEAREST, _FARTHEST = np.float32(1e-30), np.float32(1e30)  # unit of depth: finite logarithms
 _EMPTY_DEPTH = np.float32(-100)  # "logarithm of the depth" of background: far from all surfaces
 _NO_NORMAL = 0.25  # a normal with no component beyond this points nowhere
+_EVEN_LENGTH = (0.98, 1.02)  # squared length of a normal that is left as it is: rounding of halves
 _SUM = np.ones((1, 3), np.float32)
 _TINY = np.float32(1e-12)  # share of a tap: keeps 0/0 out of pixels without a tap
 
@@ -66,15 +67,22 @@ def pack(
         out[...] = (1, 0, 0, 0)
         out[..., 3] = logarithm
         return out
-    cv2.cvtColor(normal, cv2.COLOR_RGB2RGBA, dst=out)  # the fastest way to four channels
-    cv2.insertChannel(logarithm, out, 3)
     # what has no normal gets one, so that it agrees with its like; its depth tells it apart
     length = cv2.transform(np.square(normal, out=scratch.array("square", normal.shape)), _SUM)
+    none: np.ndarray | None = None
     if length.min() <= 4 * _NO_NORMAL**2:  # three such components square to 3 times that at most
-        none = cv2.inRange(normal, (-_NO_NORMAL,) * 3, (_NO_NORMAL,) * 3) > 0
-        out[none, :3] = (1, 0, 0)
+        none = cv2.inRange(normal, (-_NO_NORMAL,) * 3, (_NO_NORMAL,) * 3)
+        length[none > 0] = 1
+    if cv2.countNonZero(cv2.inRange(length, *_EVEN_LENGTH)) < length.size:
+        # filtered, packed or scaled normals: their length says nothing of the surface
+        scale = np.reciprocal(np.sqrt(length, out=length), out=length)
+        normal = cv2.multiply(normal, cv2.cvtColor(scale, cv2.COLOR_GRAY2RGB))
+    cv2.cvtColor(normal, cv2.COLOR_RGB2RGBA, dst=out)  # the fastest way to four channels
+    cv2.insertChannel(logarithm, out, 3)
+    if none is not None:
+        out[none > 0, :3] = (1, 0, 0)
         if depth is None:
-            out[none, 3] = _EMPTY_DEPTH
+            out[none > 0, 3] = _EMPTY_DEPTH
     return out
 
 

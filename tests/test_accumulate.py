@@ -41,6 +41,10 @@ def test_pixels_without_a_past_keep_their_sample(spec):
     np.testing.assert_allclose(planes[:, 0, 0], [7, 7, 7, 4])
 
 
+def _bound(irradiance, weight):
+    return bound(irradiance, weight, np.empty_like(irradiance))
+
+
 def _weights(light, local, held, options, exposure=1.0):
     held = None if held is None else np.full_like(light, held)
     return sample_weight(light, np.full_like(light, local), held, exposure, options)
@@ -54,14 +58,22 @@ def test_weight_depends_on_relative_brightness_only(scale, spec):
     np.testing.assert_allclose(scaled, base, rtol=1e-5)
 
 
-@pytest.mark.parametrize("held", [None, 0.0, 1.0, 16.0, 1e4])
+def test_weight_of_a_firefly_in_a_frame_too_dark_for_float32_is_a_number(spec):
+    light = np.float32([[1e31, 1e-30]])
+    weight = _weights(light, 0.5, 4, spec.temporal, exposure=1e30)
+    assert np.isfinite(weight).all()
+    assert weight[0, 0] < 1e-30
+    assert weight[0, 1] == pytest.approx(1, abs=1e-2)
+
+
+@pytest.mark.parametrize("held", [None, 0.0, 1.0, 17.0])
 def test_weight_bounds_what_a_firefly_contributes(held, spec):
     light = np.geomspace(1e-3, 1e31, 69, dtype=np.float32)[None]
     weight = _weights(light, 0.5, held, spec.temporal)
     assert (weight > 0).all()
     assert (weight <= 1).all()
     # local luminance 0.5, tone-mapped, is 1; 0.02 is added
-    many = 1 + min(held or 0, spec.temporal.max_samples)
+    many = 1 + (held or 0)
     usual = FIRST_SHARE * spec.temporal.outlier_ratio * many * 1.02
     assert (weight * light).max() <= usual * (1 + 1e-5)
     relative = light.astype(np.float64) / usual
@@ -76,7 +88,7 @@ def test_one_firefly_moves_a_mean_of_any_age_by_no_more_than_a_first_sample_may(
         planes[3] = held
         light = np.full((1, 1), 1e30, np.float32)
         weight = _weights(light, 0.5, held, options)
-        accumulate(bound(np.dstack([light] * 3), weight), weight, planes, options)
+        accumulate(_bound(np.dstack([light] * 3), weight), weight, planes, options)
         # (1 + n) / n of it, and nothing for the weight of the firefly itself
         assert planes[0, 0, 0] <= 1 + FIRST_SHARE * options.outlier_ratio * 1.02 * (1 + held) / held
 
@@ -101,10 +113,10 @@ def test_ordinary_noise_keeps_its_energy(spec, rng):
 def test_too_low_a_weight_makes_the_sample_darker_instead(rng):
     irradiance = rng.random((3, 4, 3)).astype(np.float32)
     weight = np.full((3, 4), 0.5, np.float32)
-    assert bound(irradiance, weight) is irradiance
+    assert _bound(irradiance, weight) is irradiance
     weight[1, 2] = MIN_WEIGHT / 1000
     before, products = irradiance.copy(), irradiance * weight[..., None]
-    bounded = bound(irradiance, weight)
+    bounded = _bound(irradiance, weight)
     np.testing.assert_array_equal(irradiance, before)
     assert weight.min() == np.float32(MIN_WEIGHT)
     np.testing.assert_allclose(bounded * weight[..., None], products, rtol=1e-6)

@@ -117,3 +117,17 @@ def test_rough_blocks_are_those_with_more_than_one_surface():
     expected[3:5, 4:6] = 1  # the four blocks that hold row 3, column 4
     expected[5:7, 1:3] = 1
     np.testing.assert_array_equal(rough, expected)
+
+
+@pytest.mark.parametrize("length", [0.3, 0.5, 0.9, 1.2, 1.7])
+def test_the_length_of_a_normal_says_nothing_of_its_surface(length):
+    unit = np.zeros((3, 4, 3), np.float32)
+    unit[...] = (0.6, 0, 0.8)
+    scaled = unit * np.float32(length)
+    scaled[1, 2] = 0  # background stays what it is
+    depth = np.full((3, 4), 2, np.float32)
+    packed, expected = pack(scaled, depth), pack(unit, depth)
+    expected[1, 2, :3] = (1, 0, 0)
+    # below a quarter in every component a normal points nowhere: all alike, told apart by depth
+    expected[..., :3] = (1, 0, 0) if length == 0.3 else expected[..., :3]
+    np.testing.assert_allclose(packed, expected, rtol=1e-6)

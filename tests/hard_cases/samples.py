@@ -52,17 +52,17 @@ def firefly_in_the_first_frame(denoiser: stillray.Denoiser) -> float:
     return _peak(denoiser, 0, 0)
 
 
-@case("the same, four frames later", "largest pixel / the same without it", 1.25)
+@case("the same, four frames later", "largest pixel / the same without it", 2.5)
 def firefly_four_frames_later(denoiser: stillray.Denoiser) -> float:
     return _peak(denoiser, 0, 4)
 
 
-@case("a firefly of 1e3 to 3e38 after 20 frames", "largest pixel / the same without it", 6)
+@case("a firefly of 1e3 to 3e38 after 20 frames", "largest pixel / the same without it", 4)
 def firefly_in_an_old_history(denoiser: stillray.Denoiser) -> float:
     return _peak(denoiser, 20, 0)
 
 
-@case("the same, eight frames later", "largest pixel / the same without it", 3)
+@case("the same, eight frames later", "largest pixel / the same without it", 4.5)
 def firefly_in_an_old_history_later(denoiser: stillray.Denoiser) -> float:
     return _peak(denoiser, 20, 8)
 
@@ -84,20 +84,18 @@ def _clusters(denoiser: stillray.Denoiser, brightness: float, after: int) -> flo
 @case(
     "3x3 pixels share a sample of 1e3, moving 1 pixel a frame, 8 frames",
     "largest pixel / the same without it",
-    40,
+    100,
 )
 def cluster_of_fireflies(denoiser: stillray.Denoiser) -> float:
     return _clusters(denoiser, 1e3, 0)
 
 
-@case("the same with 1e8", "largest pixel / the same without it", 400)
+@case("the same with 1e8", "largest pixel / the same without it", 100)
 def cluster_of_huge_fireflies(denoiser: stillray.Denoiser) -> float:
     return _clusters(denoiser, 1e8, 0)
 
 
-@case(
-    "the cluster of 1e8, 16 frames after it has gone", "largest pixel / the same without it", 3
-)
+@case("the cluster of 1e8, 16 frames after it has gone", "largest pixel / the same without it", 20)
 def cluster_of_huge_fireflies_later(denoiser: stillray.Denoiser) -> float:
     return _clusters(denoiser, 1e8, 16)
 
@@ -128,7 +126,7 @@ def nothing_but_broken_pixels(denoiser: stillray.Denoiser) -> float:
     return float(np.max(np.abs(run(denoiser, [Frame(color=color, motion=still())] * 3))))
 
 
-@case("a NaN beside a firefly of 3e38", "largest pixel / the surroundings", 8)
+@case("a NaN beside a firefly of 3e38", "largest pixel / the surroundings", 3)
 def broken_pixel_beside_a_firefly(denoiser: stillray.Denoiser) -> float:
     frame = _with_firefly(flat(0.5), 3e38)
     frame.color[10, 13] = np.nan
@@ -179,7 +177,7 @@ def constant_frames(denoiser: stillray.Denoiser) -> float:
     return max(apart(run(denoiser, [flat(value)] * 3), np.float32(value)) for value in values)
 
 
-@case("exposure scaled by 1e-6 to 1e6", "relative difference of the scaled result", 3e-3)
+@case("exposure scaled by 1e-6 to 1e6", "relative difference of the scaled result", 1e-4)
 def exposure_scaled(denoiser: stillray.Denoiser) -> float:
     base, worst = run(denoiser, noisy(3)), 0.0
     for scale in (1e-6, 1e-3, 1e3, 1e6):
@@ -188,7 +186,16 @@ def exposure_scaled(denoiser: stillray.Denoiser) -> float:
     return worst
 
 
-@case("one pixel of 100 times its surroundings, for 32 still frames", "share of its light lost", 1)
+_TAKEN_FOR_A_FIREFLY = "the network spreads little of one bright pixel, however long it stays"
+
+
+@case(
+    "one pixel of 100 times its surroundings, for 32 still frames",
+    "share of its light lost",
+    0.25,
+    kpyr_5=_TAKEN_FOR_A_FIREFLY,
+    wskp_6=_TAKEN_FOR_A_FIREFLY,
+)
 def single_bright_pixel(denoiser: stillray.Denoiser) -> float:
     frames = [flat(0.1) for _ in range(32)]
     for frame in frames:

@@ -46,21 +46,35 @@ def still_camera_keeps_what_it_accumulates(denoiser: stillray.Denoiser) -> float
     return abs(float(_still_camera(denoiser)["accumulated"][20:].mean()) - 1)
 
 
-@case("the same: the picture", "relative error of its light", 1e-3)
+_KERNELS_MOVE_LIGHT = (
+    "a network's kernels take a little more from bright pixels or from dark ones; what they are "
+    "given keeps its light"
+)
+
+
+@case(
+    "the same: the picture",
+    "relative error of its light",
+    1e-3,
+    kpyr_5=_KERNELS_MOVE_LIGHT,
+    wskp_3=_KERNELS_MOVE_LIGHT,
+    wskp_6=_KERNELS_MOVE_LIGHT,
+)
 def still_camera_keeps_its_light(denoiser: stillray.Denoiser) -> float:
     return abs(float(_still_camera(denoiser)["picture"][20:].mean()) - 1)
 
 
-@case("the same: frames 901 to 1,000 against 101 to 200", "relative change of its light", 1e-3)
+# means over 480 frames of so small a picture are known to 0.3 % and 0.3 dB
+@case("the same: the second half against the first", "relative change of its light", 5e-3)
 def still_camera_does_not_drift(denoiser: stillray.Denoiser) -> float:
     light = _still_camera(denoiser)["picture"]
-    return abs(float(light[900:].mean() / light[100:200].mean()) - 1)
+    return abs(float(light[500:].mean() / light[20:500].mean()) - 1)
 
 
-@case("the same", "dB of PSNR lost", 0.2)
+@case("the same: the second half against the first", "dB of PSNR lost", 0.5)
 def still_camera_leaves_no_ghost(denoiser: stillray.Denoiser) -> float:
     squared = _still_camera(denoiser)["squared"]
-    return float(10 * np.log10(squared[900:].mean() / squared[100:200].mean()))
+    return float(10 * np.log10(squared[500:].mean() / squared[20:500].mean()))
 
 
 def _unlike_fresh(denoiser: stillray.Denoiser, past: list, after: list) -> float:
@@ -71,9 +85,10 @@ def _unlike_fresh(denoiser: stillray.Denoiser, past: list, after: list) -> float
 
 
 @case(
-    "every surface uncovered, light 20 times lower: one frame later",
+    "every surface uncovered, light 20 times lower: the second frame",
     "mean difference from no past / mean",
-    0.25,
+    0.1,
+    kpyr_5="the previous output is recalled without a look at geometry, and kept too long",
 )
 def full_disocclusion_leaves_no_ghost(denoiser: stillray.Denoiser) -> float:
     after = [
@@ -84,9 +99,9 @@ def full_disocclusion_leaves_no_ghost(denoiser: stillray.Denoiser) -> float:
 
 
 @case(
-    "a cut that nobody told, to the mirrored scene with zero motion: 4 frames later",
+    "a cut that nobody told, to the mirrored scene with zero motion: the 4th frame",
     "mean difference from no past / mean",
-    0.25,
+    0.05,
 )
 def cut_without_reset(denoiser: stillray.Denoiser) -> float:
     after = [
@@ -115,15 +130,15 @@ def light_switched_on(denoiser: stillray.Denoiser) -> float:
     return _frames_to_follow(denoiser, 0.1, 1.0)
 
 
-@case("a light switched off, 10 times darker", "frames until the picture is within 10 %", 80)
+@case("a light switched off, 10 times darker", "frames until the picture is within 10 %", 85)
 def light_switched_off(denoiser: stillray.Denoiser) -> float:
     return _frames_to_follow(denoiser, 1.0, 0.1)
 
 
 @case(
     "a shadow of a fifth of the light crosses a still picture, 1 pixel a frame",
-    "mean error / mean light where it was 4 frames before",
-    1.0,
+    "error of the mean light in the 4 pixels that it has just left",
+    0.35,
 )
 def moving_shadow(denoiser: stillray.Denoiser) -> float:
     column, errors = np.arange(WIDTH), []
@@ -131,7 +146,8 @@ def moving_shadow(denoiser: stillray.Denoiser) -> float:
     for index in range(48):
         left = index - 20
         shadow = np.where((column >= left) & (column < left + 8), 0.2, 1.0)[None, :, None]
-        image = denoiser.denoise(changed(*noisy(1, first=index), color=noisy(1, first=index)[0].color * shadow))
+        (frame,) = noisy(1, first=index)
+        image = denoiser.denoise(changed(frame, color=frame.color * shadow))
         trail = (column >= left - 4) & (column < left)
         if index >= 28 and trail.any():
             wanted = (clean_color(HEIGHT, WIDTH) * shadow)[:, trail]
