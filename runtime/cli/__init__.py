@@ -13,6 +13,7 @@ from stillray.cli.compare import compare
 from stillray.cli.denoise import denoise
 from stillray.cli.info import info
 from stillray.cli.models import models
+from stillray.cli.profile import profile
 from stillray.cli.program import BAD_INPUT, DONE, FAILED, complain
 from stillray.errors import InputError
 
@@ -27,7 +28,7 @@ def build_app() -> typer.Typer:
         rich_markup_mode=None,
     )
     app.callback()(_version_option)
-    for command in (compare, denoise, info, models):
+    for command in (compare, denoise, info, models, profile):
         app.command()(command)
     return app
 
