@@ -69,7 +69,7 @@ def profile(
     if scaling:
         if source is not None:
             raise InputError(f"--scaling makes its own frames up, got the input {source}")
-        _scaling(model, threads, seconds, memory, plot, as_json)
+        _scaling(model, size, threads, plot, as_json)
     else:
         settings = _settings(source, model, size, threads, provider, temporal)
         _profile(source, settings, seconds, memory, plot, as_json)
@@ -118,9 +118,7 @@ def _settings(
 def _parse_size(text: str) -> tuple[int, int]:
     match = _SIZE.fullmatch(text)
     if match is None or not all(1 <= int(side) <= _MOST_SIDE for side in match.groups()):
-        raise InputError(
-            f"size must be WIDTHxHEIGHT in pixels, 1 to {_MOST_SIDE} each, got {text}"
-        )
+        raise InputError(f"size must be WIDTHxHEIGHT in pixels, 1 to {_MOST_SIDE} each, got {text}")
     return int(match[2]), int(match[1])
 
 
@@ -158,3 +156,39 @@ def _profile(
         out.print(table(result))
         for line in remarks(result):
             out.print(line)
+
+
+def _scaling(
+    models: Sequence[str] | None,
+    sizes: Sequence[str] | None,
+    threads: Sequence[int] | None,
+    plot: Path | None,
+    as_json: bool,
+) -> None:
+    from stillray.cli.output import console, status
+    from stillray.profiling.machine import describe
+    from stillray.profiling.report import curve_table, curves_as_dict
+    from stillray.profiling.scaling import SIZES, in_words, scaling_curves
+    from stillray.strips import available_threads
+
+    if models and len(models) > 1:
+        raise InputError(f"--scaling takes one model, got {', '.join(models)}")
+    with status("measuring") as told:
+        curves = scaling_curves(
+            models[0] if models else "fast",
+            threads=max(threads or [available_threads()]),
+            sizes=sorted(_parse_size(text) for text in sizes) if sizes else SIZES,
+            told=told,
+        )
+    if plot is not None:
+        from stillray.profiling.plot import draw_curves
+
+        draw_curves(curves, plot)
+    if as_json:
+        print(json.dumps(curves_as_dict(curves, describe()), indent=2))
+        return
+    out = console()
+    for curve in curves:
+        out.print(in_words(curve))
+        out.print(curve_table(curve))
+        out.print()

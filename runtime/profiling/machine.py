@@ -61,13 +61,23 @@ def describe() -> dict[str, str]:
 def measure_peaks(threads: int) -> Peaks:
     """The machine's best rates with a number of threads, each the best of a few, in a process."""
     environment = {**os.environ, **{name: str(threads) for name in _BLAS_THREADS}}
-    found = json.loads(_run([sys.executable, "-m", __name__, str(threads)], environment))
+    found = json.loads(output_of([sys.executable, "-m", __name__, str(threads)], environment))
     return Peaks(operations=found["operations"], bandwidth=found["bandwidth"])
 
 
-def peak_memory(command: Sequence[str]) -> float:
-    """Peak resident MiB that a process prints as its last line, see `peak_resident`."""
-    return float(_run(command).splitlines()[-1])
+def output_of(command: Sequence[str], environment: dict[str, str] | None = None) -> str:
+    """What a process prints: for what has to be measured alone, or in an environment of its own.
+
+    Raises
+    ------
+    RuntimeError
+        It failed: with the last line of its errors.
+    """
+    done = subprocess.run(command, env=environment, check=False, capture_output=True, text=True)
+    if done.returncode:
+        reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}: {reason}")
+    return done.stdout
 
 
 def peak_resident() -> float:
@@ -87,14 +97,6 @@ def available_memory() -> float:
     if not info.is_file():
         return float("inf")
     return float(info.read_text().split("MemAvailable:")[1].split()[0]) / 1024
-
-
-def _run(command: Sequence[str], environment: dict[str, str] | None = None) -> str:
-    done = subprocess.run(command, env=environment, check=False, capture_output=True, text=True)
-    if done.returncode:
-        reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}: {reason}")
-    return done.stdout
 
 
 def _processor() -> str:

@@ -11,13 +11,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from stillray.denoiser import Denoiser
 from stillray.exr import read_exr, write_exr
 from stillray.profiling.clip import Clip, open_clip, write_frame
-from stillray.profiling.machine import peak_memory, peak_resident
+from stillray.profiling.machine import output_of, peak_resident
 from stillray.registry import ModelInfo
 
 #: All of `Denoiser.denoise`, and its part that no stage accounts for.
@@ -107,6 +108,8 @@ def measure(
     settings: Sequence[Setting],
     clip: Clip,
     seconds: float,
+    *,
+    files: bool = True,
     progress: Callable[[int], object] = lambda frames: None,
 ) -> list[Run]:
     """Run settings of one size in turn, frame by frame, so that a drifting machine slows all.
@@ -119,6 +122,8 @@ def measure(
         The frames.
     seconds
         For how long, after the first frames; at least a few frames are run.
+    files
+        Whether reading and writing are timed too.
     progress
         Called with the number of frames that every setting has run.
     """
@@ -140,9 +145,9 @@ def measure(
                 )
             )
             streams.append(stream)
-        files = _time_files(clip, streams[0].image)
+        file_times = _time_files(clip, streams[0].image) if files else {}
         for stream, run in zip(streams, runs, strict=True):
-            run.files.update(files)
+            run.files.update(file_times)
             for _ in range(_SETTLING):
                 stream.next_frame()
         deadline = time.perf_counter() + seconds
@@ -228,37 +233,56 @@ class Memory:
 def measure_memory(settings: Sequence[Setting], source: str | None) -> list[Memory]:
     """Peak memory of every setting, each in a process of its own, on a clip of its size."""
     sizes = list(dict.fromkeys((setting.height, setting.width) for setting in settings))
-    tasks = [{"source": source, "size": size, "setting": None} for size in sizes]
-    tasks += [
-        {"source": source, "size": (s.height, s.width), "setting": asdict(s)} for s in settings
-    ]
     # nothing is timed here, so that two at once are well
     with ThreadPoolExecutor(2) as pool:
-        found = list(
-            pool.map(
-                lambda task: peak_memory([sys.executable, "-m", __name__, json.dumps(task)]), tasks
-            )
-        )
-    bare = dict(zip(sizes, found, strict=False))
-    return [
-        Memory(peak=peak, net=peak - bare[setting.height, setting.width])
-        for setting, peak in zip(settings, found[len(sizes) :], strict=True)
-    ]
+        bare = pool.map(lambda size: _alone(None, size, source).peak, sizes)
+        full = pool.map(lambda s: _alone(s, (s.height, s.width), source).peak, settings)
+        base = dict(zip(sizes, bare, strict=True))
+        return [
+            Memory(peak=peak, net=peak - base[setting.height, setting.width])
+            for setting, peak in zip(settings, full, strict=True)
+        ]
 
 
-def _print_peak(source: str | None, size: tuple[int, int], setting: Setting | None) -> None:
-    clip = open_clip(source, size)
-    if setting is not None:
-        with open_denoiser(setting) as denoiser:
-            for turn in range(_SETTLING + 1):
-                denoiser.denoise(clip.frame(turn)[0])
-    print(peak_resident())
+def measure_alone(setting: Setting, seconds: float = 0.0) -> tuple[float, Memory]:
+    """Median milliseconds of a warm frame that is made up, and memory, of one process alone."""
+    size = setting.height, setting.width
+    bare, full = _alone(None, size, None), _alone(setting, size, None, seconds)
+    return full.milliseconds, Memory(peak=full.peak, net=full.peak - bare.peak)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Alone:
+    peak: float  # MiB
+    milliseconds: float  # of a warm frame; 0 where nothing was denoised
+
+
+def _alone(
+    setting: Setting | None, size: tuple[int, int], source: str | None, seconds: float = 0.0
+) -> _Alone:
+    task = {
+        "setting": None if setting is None else asdict(setting),
+        "size": size,
+        "source": source,
+        "seconds": seconds,
+    }
+    return _Alone(**json.loads(output_of([sys.executable, "-m", __name__, json.dumps(task)])))
+
+
+def _run_alone(task: dict[str, Any]) -> _Alone:
+    clip = open_clip(task["source"], tuple(task["size"]))
+    milliseconds: list[float] = []
+    if task["setting"] is not None:
+        with open_denoiser(Setting(**task["setting"])) as denoiser:
+            stream = _Stream(denoiser, clip)
+            for _ in range(_SETTLING):
+                stream.next_frame()
+            deadline = time.perf_counter() + task["seconds"]
+            while not milliseconds or time.perf_counter() < deadline:
+                milliseconds.append(stream.next_warm_frame()[TOTAL])
+    median = float(np.median(milliseconds)) if milliseconds else 0.0
+    return _Alone(peak=peak_resident(), milliseconds=median)
 
 
 if __name__ == "__main__":
-    given = json.loads(sys.argv[1])
-    _print_peak(
-        given["source"],
-        tuple(given["size"]),
-        Setting(**given["setting"]) if given["setting"] else None,
-    )
+    print(json.dumps(asdict(_run_alone(json.loads(sys.argv[1])))))

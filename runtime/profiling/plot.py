@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,6 +13,7 @@ from stillray.exr import atomic_path
 from stillray.profiling.measure import ORDER, TOTAL
 from stillray.profiling.report import title
 from stillray.profiling.results import Result
+from stillray.profiling.scaling import Curve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,7 +84,9 @@ def _draw_bars(axes: Axes, results: Sequence[Result]) -> None:
             va="center",
         )
         axes.text(floor_left + 0.01 * longest, row + 0.34, "floor", va="center", fontsize=7)
-    axes.set_yticks(range(len(results)), [title(result).replace(", ", "\n", 1) for result in results])
+    axes.set_yticks(
+        range(len(results)), [title(result).replace(", ", "\n", 1) for result in results]
+    )
     axes.set_xlim(0, longest * 1.28)
     axes.invert_yaxis()
     axes.set_xlabel("milliseconds a warm frame, median of each stage; files left out")
@@ -97,3 +101,51 @@ def _draw_bars(axes: Axes, results: Sequence[Result]) -> None:
         frameon=False,
     )
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def draw_curves(curves: Sequence[Curve], path: Path) -> None:
+    """A panel a curve, both axes logarithmic, so that an exponent is a slope."""
+    figure, panels = new_figure(11, 8, 2, 2)
+    for axes, curve in zip(panels.flat, curves, strict=True):
+        axes.loglog(curve.values, curve.milliseconds, "o-", color="C0", label="milliseconds")
+        axes.set_title(curve.subject, fontsize=10)
+        axes.set_xlabel(curve.name)
+        axes.set_ylabel("milliseconds")
+        if curve.exponent is not None:
+            _draw_fit(axes, curve.values, curve.milliseconds, curve.exponent)
+        if curve.memory:
+            beside = axes.twinx()
+            beside.loglog(curve.values, curve.memory, "s--", color="C1")
+            beside.set_ylabel("net MiB (dashed)", color="C1")
+            _plain_numbers(beside, curve.memory)
+        _label_ticks(axes, curve)
+    save(figure, path)
+
+
+def _label_ticks(axes: Axes, curve: Curve) -> None:
+    from matplotlib.ticker import FixedLocator, NullLocator
+
+    axes.xaxis.set_major_locator(FixedLocator(curve.values))
+    axes.xaxis.set_minor_locator(NullLocator())
+    long = max(len(label) for label in curve.labels) > 4
+    axes.set_xticklabels(curve.labels, rotation=30 if long else 0, fontsize=8)
+    axes.grid(True, alpha=0.3)
+    _plain_numbers(axes, curve.milliseconds)
+
+
+def _plain_numbers(axes: Axes, costs: Sequence[float]) -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+
+    axes.set_ylim(min(costs) / 1.5, max(costs) * 1.5)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter(ScalarFormatter())
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _draw_fit(axes: Axes, values: Sequence[float], costs: Sequence[float], exponent: float) -> None:
+    middle = sum(math.log(c) - exponent * math.log(v) for v, c in zip(values, costs, strict=True))
+    scale = math.exp(middle / len(values))
+    ends = [min(values), max(values)]
+    line = [scale * value**exponent for value in ends]
+    axes.plot(ends, line, ":", color="0.4", label=f"fitted slope {exponent:.2f}")
+    axes.legend(frameon=False, fontsize=8)

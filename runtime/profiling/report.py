@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from stillray.profiling.measure import REST, TOTAL
 from stillray.profiling.results import Result
+from stillray.profiling.scaling import Curve
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -97,3 +98,31 @@ def remarks(result: Result) -> list[str]:
         "stage accounts for"
     )
     return lines
+
+
+def curve_table(curve: Curve) -> Table:
+    """A row a value: milliseconds, and memory where it was measured."""
+    from rich.table import Table
+
+    rows = Table(box=None, pad_edge=False)
+    for heading in (curve.name, "median ms", *(["net MiB"] if curve.memory else [])):
+        rows.add_column(heading, justify="right")
+    memory = [[f"{net:.0f}"] for net in curve.memory] or [[] for _ in curve.values]
+    for label, milliseconds, net in zip(curve.labels, curve.milliseconds, memory, strict=True):
+        rows.add_row(label, f"{milliseconds:.1f}", *net)
+    return rows
+
+
+def curves_as_dict(curves: Sequence[Curve], machine: dict[str, str]) -> dict[str, Any]:
+    """Curves as they are written to JSON."""
+    return {
+        "machine": machine,
+        "curves": [
+            {
+                **asdict(curve),
+                "exponent": curve.exponent,
+                "memory_exponent": curve.memory_exponent,
+            }
+            for curve in curves
+        ],
+    }

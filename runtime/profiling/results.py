@@ -85,7 +85,7 @@ def profile_settings(
             told(f"{width} x {height}: frame {count}")
 
         told(f"{width} x {height}: first frames")
-        found = measure(group, clip, seconds / len(sizes), progress)
+        found = measure(group, clip, seconds / len(sizes), progress=progress)
         runs += found
         work += [stage_work(run.info, clip.frames[0]) for run in found]
     told("memory")

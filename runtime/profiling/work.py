@@ -71,7 +71,9 @@ def stage_work(info: ModelInfo, frame: Frame) -> dict[str, Work]:
 def _each_pixel(spec: ModelSpec, frame: Frame) -> dict[str, tuple[float, float]]:
     """Operations and planes of a stage, a pixel."""
     albedo = 3 if frame.albedo is not None else 0
-    guides = sum(_CHANNELS[name] for name in ("normal", "depth") if getattr(frame, name) is not None)
+    guides = sum(
+        _CHANNELS[name] for name in ("normal", "depth") if getattr(frame, name) is not None
+    )
     features = len(spec.network.features)
     buffers = sum(_CHANNELS[name] for name in frame.given if name in _CHANNELS)
     local = 3 + _WINDOW_SUM + 1  # tone map, window, scale
