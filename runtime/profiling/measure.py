@@ -133,7 +133,7 @@ def measure(
             start = time.perf_counter()
             denoiser = stack.enter_context(open_denoiser(setting))
             load = 1e3 * (time.perf_counter() - start)
-            stream = _Stream(denoiser, clip)
+            stream = Stream(denoiser, clip)
             first = stream.next_frame()
             runs.append(
                 Run(
@@ -170,7 +170,7 @@ def open_denoiser(setting: Setting) -> Denoiser:
     )
 
 
-class _Stream:
+class Stream:
     """A clip through a denoiser, frame after frame without end."""
 
     def __init__(self, denoiser: Denoiser, clip: Clip) -> None:
@@ -274,7 +274,7 @@ def _run_alone(task: dict[str, Any]) -> _Alone:
     milliseconds: list[float] = []
     if task["setting"] is not None:
         with open_denoiser(Setting(**task["setting"])) as denoiser:
-            stream = _Stream(denoiser, clip)
+            stream = Stream(denoiser, clip)
             for _ in range(_SETTLING):
                 stream.next_frame()
             deadline = time.perf_counter() + task["seconds"]
