@@ -68,13 +68,13 @@ def find_scenes(folder: Path) -> list[Path]:
 def run_stream(
     stream: PeerDenoiser, frames: Sequence[Frame], count: int
 ) -> tuple[list[np.ndarray], list[float]]:
-    """Denoise frames in order: the last images, and the milliseconds that each of them took."""
+    """Denoise frames in order: the last images, and the milliseconds of every frame."""
     images, milliseconds = [], []
     for frame in frames:
         start = time.perf_counter()
         images.append(stream.denoise(frame))
         milliseconds.append(1e3 * (time.perf_counter() - start))
-    return images[-count:], milliseconds[-count:]
+    return images[-count:], milliseconds
 
 
 def evaluate_scene(

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from stillray.compare.metrics import Metric
 
+_WITH_UNIT = ("psnr", "fovvideovdp")  # metrics whose title ends with a unit
+
 
 @dataclass(frozen=True, kw_only=True)
 class Priced:
@@ -55,15 +57,14 @@ def advice(methods: Sequence[Priced], metric: Metric) -> str:
     if not front:
         return f"{metric.title}: not measured"
     now = front[0]
-    name, *unit = metric.title.split()[:-1]  # the arrow says what the words "more buys" say
-    unit_text = " " + unit[-1] if metric.name in ("psnr", "fovvideovdp") else ""
+    title, _arrow = metric.title.rsplit(" ", 1)
+    name, unit = title.rsplit(" ", 1) if metric.name in _WITH_UNIT else (title, "")
 
     def shown(value: float) -> str:
-        return format(value, metric.format) + unit_text
+        return f"{value:{metric.format}} {unit}".rstrip()
 
-    title = name if unit_text else " ".join([name, *unit])
     parts = [
-        f"{title}: for {now.milliseconds:.0f} ms use {now.label} ({shown(now.scores[metric.name])})"
+        f"{name}: for {now.milliseconds:.0f} ms use {now.label} ({shown(now.scores[metric.name])})"
     ]
     for step in front[1:]:
         gain = abs(step.scores[metric.name] - now.scores[metric.name])

@@ -1,7 +1,7 @@
 """Quality against time: every model and option of the runtime, and the peers, on sequences.
 
-Methods take turns, scene by scene, in one process; the frames that are scored are the frames that
-are timed, and they are the last ones of a sequence: warm.
+Methods take turns, scene by scene, in one process. The last frames of a sequence are scored, and
+all but the first two, which allocate, are timed.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from stillray.training.evaluate import find_scenes, last_referenced, run_stream
 from stillray.training.pareto import Priced, pareto_front
 from stillray.training.peers import PeerDenoiser, find_peer
 
+_WARM_FROM = 2  # frames
 NOISY = "noisy"  # the input as it is
 _KERNEL_SHARES = (1 / 3, 2 / 3)  # of a model's fused kernels
 _HISTORY_FACTORS = (1 / 4, 4)  # of the samples that a model's history is worth
@@ -116,15 +117,15 @@ class Tradeoff:
         Scores of the input as it is.
     size
         Height and width of the frames, pixels; of the last scene.
-    frames
-        How many frames were timed of each.
+    scenes
+        How many sequences were denoised.
     """
 
     methods: list[Priced]
     peers: frozenset[str]
     noisy: dict[str, float]
     size: tuple[int, int]
-    frames: int
+    scenes: int
 
     def measured(self) -> list[Metric]:
         """The metrics that every method has."""
@@ -136,7 +137,7 @@ class Tradeoff:
             {
                 "height": self.size[0],
                 "width": self.size[1],
-                "timed_frames": self.frames,
+                "scenes": self.scenes,
                 "noisy": self.noisy,
                 "methods": [
                     {**asdict(method), "peer": method.label in self.peers}
@@ -182,13 +183,13 @@ def measure(
         noisy = [frame.color for frame in frames[-count:]]
         scores[NOISY].append(metrics.evaluate(noisy, references))
         for option in options:
-            # a method that forgets sees one frame first too, so that its buffers are there
-            seen = frames if option.remembers else [frames[0], *frames[-count:]]
+            # a method that forgets sees some frames before too, to be warm
+            seen = frames if option.remembers else frames[-count - _WARM_FROM :]
             stream = option.make()
             images, milliseconds = run_stream(stream, seen, count)
             if isinstance(stream, Denoiser):
                 stream.close()
-            times.setdefault(option.label, []).extend(milliseconds)
+            times.setdefault(option.label, []).extend(milliseconds[_WARM_FROM:] or milliseconds)
             found = (
                 scores[option.same_picture_as][-1]
                 if option.same_picture_as in scores
@@ -207,7 +208,7 @@ def measure(
         peers=frozenset(option.label for option in options if option.is_peer),
         noisy=_mean(scores[NOISY]),
         size=size,
-        frames=len(next(iter(times.values()))),
+        scenes=len(scores[NOISY]),
     )
 
 

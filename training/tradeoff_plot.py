@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+_COLOURS = ("C0", "C2", "C4", "C1", "C5", "C6")
+
+
 def draw_tradeoff(found: Tradeoff, path: Path) -> None:
     """Scatter of quality against milliseconds with the Pareto front; better is up."""
     measured = found.measured()
@@ -27,8 +30,8 @@ def draw_tradeoff(found: Tradeoff, path: Path) -> None:
         axes.set_visible(False)
     height, width = found.size
     figure.suptitle(
-        f"Quality against time, {width} x {height}, {found.frames} timed frames a method; "
-        "squares: peers; line: what no other method beats in both"
+        f"Quality against time, {width} x {height}, mean of {found.scenes} sequences; "
+        "squares: peers, small: options changed, line: what no other beats in both"
     )
     save(figure, path)
 
@@ -44,18 +47,19 @@ def _draw(axes: Axes, found: Tradeoff, metric: Metric) -> None:
         color="0.5",
         zorder=1,
     )
-    for peers, colour, marker in ((False, "C0", "o"), (True, "C3", "s")):
-        chosen = [point for point in found.methods if (point.label in found.peers) == peers]
+    families = list(dict.fromkeys(_family(point) for point in found.methods))
+    for point in found.methods:
+        peer, changed = point.label in found.peers, _family(point) != point.label
         axes.scatter(
-            [point.milliseconds for point in chosen],
-            [point.scores[metric.name] for point in chosen],
-            c=colour,
-            marker=marker,
-            s=28,
+            point.milliseconds,
+            point.scores[metric.name],
+            color="C3" if peer else _COLOURS[families.index(_family(point)) % len(_COLOURS)],
+            marker="s" if peer else "o",
+            s=14 if changed else 45,
             zorder=2,
         )
-    for point in found.methods:
-        _name(axes, point, metric, bold=point in front)
+        if peer or not changed or point in front:
+            _name(axes, point, metric, bold=point in front)
     axes.set_xscale("log")
     times = [point.milliseconds for point in found.methods]
     axes.set_xlim(min(times) / 1.15, max(times) * 1.6)
@@ -67,6 +71,11 @@ def _draw(axes: Axes, found: Tradeoff, metric: Metric) -> None:
     axes.set_xlabel("milliseconds a frame")
     axes.set_ylabel(metric.title)
     axes.grid(True, alpha=0.3)
+
+
+def _family(point: Priced) -> str:
+    """The model of an option."""
+    return point.label.split(", ")[0]
 
 
 def _name(axes: Axes, point: Priced, metric: Metric, *, bold: bool) -> None:

@@ -98,7 +98,7 @@ def _table(found: Tradeoff) -> Table:
     fronts = {metric.name: pareto_front(found.methods, metric) for metric in measured}
     height, width = found.size
     table = Table(
-        title=f"{width} x {height}, {found.frames} timed frames a method; "
+        title=f"{width} x {height}, mean of {found.scenes} sequences; "
         "* no other method is as fast and better",
         title_justify="left",
         box=None,
