@@ -141,14 +141,18 @@ class Denoiser:
         )
         previous: np.ndarray | None = None
         if family.recalls and self.temporal:
-            previous = recall.recalled(self._history, prepared, self._strips, self.last_timings)
+            previous = recall.recalled(
+                self._history, prepared, self._strips, self.last_timings, self._kept
+            )
         features = self._encode(frame, spec, prepared, previous)
         with timed(self.last_timings, "network"):
             outputs = self._network.run(features)
         image = family.reconstruct(
             prepared, previous, outputs, spec, self._strips, self.last_timings
         )
-        output = recall.remember(image) if family.recalls and self.temporal else None
+        output: np.ndarray | None = None
+        if family.recalls and self.temporal:
+            output = recall.remember(image, self._spare)
         self._remember(replace(prepared.history, output=output))
         return image
 

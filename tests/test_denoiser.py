@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import subprocess
 import sys
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 import stillray
 from stillray.families import FAMILIES
 from stillray.frame import Frame
+from stillray.profiling.synthetic import swing
 from tests.conftest import ODD_SIZES, clean_color, make_frame
 
 MODELS = ["wskp-3", "wskp-6", "kpyr-5"]
@@ -382,3 +384,21 @@ def test_runtime_never_imports_training_or_export():
             assert "stillray.training" not in text, source
         assert "stillray.export" not in text, source
         assert "import torch" not in text, source
+
+
+@pytest.mark.parametrize(("model", "planes"), [("wskp-3", 3), ("kpyr-5", None)])
+def test_a_warm_frame_takes_no_new_memory_but_for_its_picture(model, planes):
+    frames = swing(540, 960)  # strips are much smaller
+    with stillray.Denoiser(model, threads=1) as denoiser:
+        for turn in range(4):
+            denoiser.denoise(frames[turn % 2])
+        tracemalloc.start()
+        before, _ = tracemalloc.get_traced_memory()
+        picture = denoiser.denoise(frames[0])
+        after, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    plane = 4 * 540 * 960
+    # the picture is the caller's; nothing else stays, histories change places
+    assert after - before < picture.nbytes + plane / 2
+    if planes is not None:  # a pyramid's levels are made anew
+        assert peak - before < (planes + 1) * plane

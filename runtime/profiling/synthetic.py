@@ -20,7 +20,7 @@ _WINDOW = (-1.6, -0.9, 0.7, 0.6)  # in the far wall: left, top, width, height; s
 _SKY = np.array([2.0, 2.6, 3.6], np.float32)
 # The side walls are of bricks, whose joints break up a tenth of the frame, as clutter does: of the
 # bundled sequence, 11 % of the pixels look back at more than one surface.
-_BRICKS = (6.0, 3.0)  # a metre, up and along
+_BRICKS = np.array([6.0, 3.0], np.float32)  # a metre, up and along
 _JOINT = 0.2  # share of a brick
 _UNLIT = 0.5  # share of the pixels whose one path found no light
 _FIREFLY = 3e-4  # share of the pixels whose path found far too much
@@ -155,7 +155,7 @@ def _normals(
 ) -> np.ndarray:
     walls = axis[..., None] == np.arange(3, dtype=np.uint8)
     normal = np.where(walls, -np.sign(way), np.float32(0))
-    bricks = place[..., 1:] * np.float32(_BRICKS)
+    bricks = place[..., 1:] * _BRICKS
     bricks -= np.floor(bricks)
     joint = (axis == 0) & (bricks.min(axis=-1) < _JOINT)
     normal[joint] = normal[joint] * np.float32(0.8) + np.array([0, 0.6, 0], np.float32)
