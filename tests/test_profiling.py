@@ -254,6 +254,7 @@ def test_a_user_s_own_file_is_profiled_at_its_size(tmp_path, capsys):
         (["--provider", "Nonsense"], "providers must be among"),
         (["--model", "slow"], "model must be one of"),
         (["none.exr"], "none.exr: no such file"),
+        (["--plot", "no/folder.png"], "plot must be in a folder that exists, got no/folder.png"),
         (["--scaling", "a.exr"], "--scaling makes its own frames up, got the input a.exr"),
         (["--scaling", "--model", "fast", "--model", "high"], "--scaling takes one model"),
     ],

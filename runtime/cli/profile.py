@@ -63,9 +63,9 @@ def profile(
 ) -> None:
     """Show what every stage costs: milliseconds, memory, and the least that it could take."""
     if plot is not None:
-        from stillray.profiling.plot import require_matplotlib
+        from stillray.profiling.plot import require_drawable
 
-        require_matplotlib()
+        require_drawable(plot)
     if scaling:
         if source is not None:
             raise InputError(f"--scaling makes its own frames up, got the input {source}")

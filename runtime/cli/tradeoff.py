@@ -46,14 +46,14 @@ def tradeoff(
 
     from stillray.cli.output import console
     from stillray.profiling.machine import describe
-    from stillray.profiling.plot import require_matplotlib
+    from stillray.profiling.plot import require_drawable
     from stillray.registry import list_models
     from stillray.training.evaluate import choose_peers, left_out
     from stillray.training.pareto import advice
     from stillray.training.tradeoff import measure, model_options, peer_options
 
     if plot is not None:
-        require_matplotlib()
+        require_drawable(plot)
     named = peer if peers else []
     options = [
         option

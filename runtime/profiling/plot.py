@@ -22,10 +22,12 @@ _FILES = ("read", "write")
 _LEAST_LABELLED = 0.045  # share of the longest bar
 
 
-def require_matplotlib() -> None:
-    """Raise `InputError` where no picture can be drawn; called before anything is measured."""
+def require_drawable(path: Path) -> None:
+    """Raise `InputError` where no picture can be drawn there; called before measuring."""
     if find_spec("matplotlib") is None:
         raise InputError("a plot needs the package matplotlib: pip install 'stillray[compare]'")
+    if not path.parent.is_dir():
+        raise InputError(f"plot must be in a folder that exists, got {path}")
 
 
 def new_figure(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Any, Any]:
