@@ -100,6 +100,7 @@ def _settings(
         shapes = [_parse_size(text) for text in sizes]
     else:
         shapes = [DEFAULT_SIZE if source is None else open_clip(source).shape]
+    engines: Sequence[str | None] = providers or [None]
     return [
         Setting(
             model=str(name),
@@ -110,7 +111,7 @@ def _settings(
             temporal=temporal,
         )
         for (height, width), name, count, provider in itertools.product(
-            shapes, names, threads or [available_threads()], providers or [None]
+            shapes, names, threads or [available_threads()], engines
         )
     ]
 
