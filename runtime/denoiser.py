@@ -28,8 +28,8 @@ class Denoiser:
     Parameters
     ----------
     model
-        A quality (``"fast"``, ``"balanced"``, ``"high"``), a model's name, or the path of an
-        .onnx file.
+        A quality (``"fast"``, ``"balanced"``, ``"high"``), a model's name, the path of an
+        .onnx file, or what `stillray.registry.tuned` gives.
     threads
         Threads to use, 1 or more; None for every processor that this process may use.
     providers
@@ -53,7 +53,7 @@ class Denoiser:
 
     def __init__(
         self,
-        model: str | os.PathLike[str] = "balanced",
+        model: str | os.PathLike[str] | ModelInfo = "balanced",
         *,
         threads: int | None = None,
         providers: Sequence[str] | None = None,
@@ -62,7 +62,7 @@ class Denoiser:
         if threads is not None and threads < 1:
             raise InputError(f"threads must be 1 or more, got {threads}")
         threads = threads or available_threads()
-        self.model: ModelInfo = find_model(model)
+        self.model = model if isinstance(model, ModelInfo) else find_model(model)
         self.temporal = temporal
         self._history: History | None = None
         #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
@@ -141,14 +141,18 @@ class Denoiser:
         )
         previous: np.ndarray | None = None
         if family.recalls and self.temporal:
-            previous = recall.recalled(self._history, prepared, self._strips, self.last_timings)
+            previous = recall.recalled(
+                self._history, prepared, self._strips, self.last_timings, self._kept
+            )
         features = self._encode(frame, spec, prepared, previous)
         with timed(self.last_timings, "network"):
             outputs = self._network.run(features)
         image = family.reconstruct(
             prepared, previous, outputs, spec, self._strips, self.last_timings
         )
-        output = recall.remember(image) if family.recalls and self.temporal else None
+        output: np.ndarray | None = None
+        if family.recalls and self.temporal:
+            output = recall.remember(image, self._spare)
         self._remember(replace(prepared.history, output=output))
         return image
 

@@ -76,7 +76,8 @@ def filter_rows(
         Irradiance, which is filtered, >= 0 and finite; and the samples that each pixel holds,
         > 0, which multiply its importance when the spec says so.
     logits : (2 m, h, w) float32
-        m importance maps and m fusion maps, as the network gives them; any values.
+        m importance maps and m fusion maps, as the network gives them; any values. Where there
+        are fewer kernel sizes than m, the other maps are not looked at.
     inner
         The rows of the result; the others only lend their pixels.
     out : (rows, w, 3) float32, optional
@@ -91,7 +92,8 @@ def filter_rows(
         end at the border of the image, as if zero importance lay outside.
     """
     scratch = scratch or Scratch()
-    count, (height, width) = len(options.kernel_sizes), mean.shape[:2]
+    # fewer kernels than maps: the first ones
+    count, (height, width) = len(logits) // 2, mean.shape[:2]
     shape = inner.stop - inner.start, width
     if out is None:
         out = np.empty((*shape, 3), np.float32)

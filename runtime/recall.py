@@ -7,6 +7,7 @@ import numpy as np
 
 from stillray.prepare import History, Prepared
 from stillray.reproject import positions_of
+from stillray.scratch import Scratch
 from stillray.strips import Strips
 from stillray.timing import timed
 
@@ -16,23 +17,39 @@ _LEAST_VALID, _WHOLE = np.float32(1e-3), np.float32(1 - 1e-3)
 
 
 def recalled(
-    history: History | None, prepared: Prepared, strips: Strips, timings: dict[str, float]
+    history: History | None,
+    prepared: Prepared,
+    strips: Strips,
+    timings: dict[str, float],
+    kept: Scratch | None = None,
 ) -> np.ndarray | None:
-    """The previous output at a prepared frame's pixels, or None where there is no past."""
+    """The previous output at a prepared frame's pixels, or None where there is no past.
+
+    It lies in ``kept`` if that is given, or in the history where nothing moves.
+    """
     if history is None or history.output is None or prepared.motion is None:
         return None
     if history.output.shape[:2] != prepared.motion.shape[:2]:
         return None
     with timed(timings, "recall"):
-        return recall(history.output, prepared.motion, strips)
+        out = None if kept is None else kept.array("recalled", history.output.shape)
+        return recall(history.output, prepared.motion, strips, out)
 
 
-def remember(image: np.ndarray) -> np.ndarray:
-    """An output as the next frame wants it: ``(h, w, 4)``, a copy, with 1 for "valid" last."""
-    return cv2.cvtColor(image, cv2.COLOR_RGB2RGBA)  # alpha of float images is 1
+def remember(image: np.ndarray, spare: History | None = None) -> np.ndarray:
+    """An output as the next frame wants it: ``(h, w, 4)``, a copy, with 1 for "valid" last.
+
+    It lies in the arrays of a history that nobody needs any more, if one is given.
+    """
+    out = None if spare is None else spare.output
+    if out is not None and out.shape[:2] != image.shape[:2]:
+        out = None
+    return cv2.cvtColor(image, cv2.COLOR_RGB2RGBA, dst=out)  # alpha of float images is 1
 
 
-def recall(output: np.ndarray, motion: np.ndarray, strips: Strips) -> np.ndarray:
+def recall(
+    output: np.ndarray, motion: np.ndarray, strips: Strips, out: np.ndarray | None = None
+) -> np.ndarray:
     """Follow the motion back into the previous output.
 
     No geometry is compared: the edges of an output are smooth, as those of a photograph are, and
@@ -44,6 +61,10 @@ def recall(output: np.ndarray, motion: np.ndarray, strips: Strips) -> np.ndarray
         See `remember`.
     motion : (h, w, 2) float32
         Pixels, finite.
+    strips
+        Where the work runs.
+    out : (h, w, 4) float32, optional
+        Written and returned where something moves.
 
     Returns
     -------
@@ -53,19 +74,27 @@ def recall(output: np.ndarray, motion: np.ndarray, strips: Strips) -> np.ndarray
     if not motion.any():
         return output
     height, width = motion.shape[:2]
-    past = np.empty((height, width, 4), np.float32)
+    past = np.empty((height, width, 4), np.float32) if out is None else out
 
     def work(rows: slice) -> None:
-        positions = positions_of(motion[rows], rows)
+        scratch, taken = strips.scratch, past[rows]
+        positions = scratch.array("positions", motion[rows].shape)
         # exact at four channels; for some other counts OpenCV rounds positions to 1/32 pixel
-        taken = cv2.remap(
-            output, positions, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
+        cv2.remap(
+            output,
+            positions_of(motion[rows], rows, positions),
+            None,
+            cv2.INTER_LINEAR,
+            dst=taken,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=0,
         )
         # at the border of the frame: the mean of the taps that there are
-        valid = taken[..., 3]
-        border = np.nonzero((valid > 0) & (valid < _WHOLE))
-        taken[(*border, slice(3))] /= np.maximum(valid[border], _LEAST_VALID)[:, None]
-        past[rows] = taken
+        valid = cv2.extractChannel(taken, 3, dst=scratch.array("valid", taken.shape[:2]))
+        if valid.min() < _WHOLE:
+            down, right = np.nonzero((valid > 0) & (valid < _WHOLE))
+            share = np.maximum(valid[down, right], _LEAST_VALID)
+            taken[down, right, :3] /= share[:, None]
 
     strips.run(work, height, width)
     return past

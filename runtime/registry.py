@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from stillray.errors import InputError
-from stillray.models_spec.loader import ModelSpec, SpecError, from_json
+from stillray.models_spec.loader import FusedKernels, ModelSpec, SpecError, from_json
 from stillray.session import open_session
 
 SPEC_KEY = "stillray.spec"
@@ -108,3 +108,37 @@ def read_model(path: Path) -> ModelInfo:
         provenance=provenance,
         spec=spec,
     )
+
+
+def tuned(
+    info: ModelInfo, *, kernels: int | None = None, max_samples: float | None = None
+) -> ModelInfo:
+    """A model with other settings than it was trained with, for `stillray.Denoiser`.
+
+    Parameters
+    ----------
+    info
+        The model.
+    kernels
+        How many of its fused kernels to use, the smallest first; weight-sharing kernels only.
+    max_samples
+        Samples that a pixel's history is worth at most, 1 or more: how long it remembers.
+
+    Raises
+    ------
+    InputError
+        The model has not so many kernels, or the history is too short.
+    """
+    spec = info.spec
+    if kernels is not None:
+        sizes = spec.decoder.kernel_sizes if isinstance(spec.decoder, FusedKernels) else ()
+        if not 1 <= kernels <= len(sizes):
+            raise InputError(
+                f"kernels must be 1 to the {len(sizes)} that {info.name} fuses, got {kernels}"
+            )
+        spec = replace(spec, decoder=replace(spec.decoder, kernel_sizes=sizes[:kernels]))
+    if max_samples is not None:
+        if max_samples < 1:
+            raise InputError(f"max_samples must be 1 or more, got {max_samples:g}")
+        spec = replace(spec, temporal=replace(spec.temporal, max_samples=float(max_samples)))
+    return replace(info, spec=spec)

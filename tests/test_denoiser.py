@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import subprocess
 import sys
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 import stillray
 from stillray.families import FAMILIES
 from stillray.frame import Frame
+from stillray.profiling.synthetic import swing
 from tests.conftest import ODD_SIZES, clean_color, make_frame
 
 MODELS = ["wskp-3", "wskp-6", "kpyr-5"]
@@ -362,12 +364,41 @@ def test_import_loads_neither_training_nor_inference_engine_nor_model():
     assert done.stdout.strip() == "[]"
 
 
+def test_the_command_line_loads_no_evaluation_until_it_is_asked_for():
+    code = (
+        "import sys, stillray.cli; stillray.cli.build_app();"
+        "print([m for m in sys.modules if m.startswith('stillray.training') or m == 'matplotlib'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
 def test_runtime_never_imports_training_or_export():
     from pathlib import Path
 
     sources = Path(stillray.__file__).parent.rglob("*.py")
     for source in sources:
         text = source.read_text()
-        assert "stillray.training" not in text, source
+        # the one doorway to the evaluation, which a function opens; nothing that denoises has one
+        if source.name != "tradeoff.py" or source.parent.name != "cli":
+            assert "stillray.training" not in text, source
         assert "stillray.export" not in text, source
         assert "import torch" not in text, source
+
+
+@pytest.mark.parametrize(("model", "planes"), [("wskp-3", 3), ("kpyr-5", None)])
+def test_a_warm_frame_takes_no_new_memory_but_for_its_picture(model, planes):
+    frames = swing(540, 960)  # strips are much smaller
+    with stillray.Denoiser(model, threads=1) as denoiser:
+        for turn in range(4):
+            denoiser.denoise(frames[turn % 2])
+        tracemalloc.start()
+        before, _ = tracemalloc.get_traced_memory()
+        picture = denoiser.denoise(frames[0])
+        after, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    plane = 4 * 540 * 960
+    # the picture is the caller's; nothing else stays, histories change places
+    assert after - before < picture.nbytes + plane / 2
+    if planes is not None:  # a pyramid's levels are made anew
+        assert peak - before < (planes + 1) * plane

@@ -1,259 +1,231 @@
 """``python -m stillray.training.benchmark``: time and memory beside Open Image Denoise.
 
-One process, one frame, the methods in turn, round after round; medians and ratios are printed.
-Every stage counts, from the renderer's buffers to the picture, with history and moving pixels.
-Peak memory is that of a process of its own for each method.
+One process, the same frames, the methods in turn, round after round; medians and ratios are
+printed. Every stage counts, from the renderer's buffers to the picture, with history and moving
+pixels. Peak memory is that of a process of its own for each method.
 """
 
 from __future__ import annotations
 
-import platform
-import resource
-import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import cv2
 import numpy as np
 import typer
-from rich.console import Console
-from rich.progress import track
 
 from stillray.cli import program
-from stillray.denoiser import Denoiser
-from stillray.exr import atomic_path, read_exr
-from stillray.frame import Frame
-from stillray.registry import find_model, list_models
+from stillray.cli.output import status
+from stillray.exr import atomic_path
+from stillray.profiling.clip import Clip, open_clip
+from stillray.profiling.machine import describe, measure_peaks, output_of, peak_resident
+from stillray.profiling.measure import (
+    ORDER,
+    TOTAL,
+    Memory,
+    Run,
+    Setting,
+    Summary,
+    measure,
+    measure_memory,
+)
+from stillray.profiling.plot import draw_curves, draw_profile
+from stillray.profiling.results import Result
+from stillray.profiling.scaling import SIZES, Curve, in_words, scaling_curves
+from stillray.profiling.work import stage_work
+from stillray.registry import list_models
 from stillray.strips import available_threads
-from stillray.training.operations import multiply_adds
 from stillray.training.peers import OIDN_QUALITIES, open_image_denoise
 
-SEQUENCE = Path("tests/data/room")
+SEQUENCE = "tests/data/room/frame_####.exr"
 NOTHING = "nothing"  # the buffers alone: what memory is compared with
-# Float32 planes that each stage reads or writes, each once: its work if memory were all that
-# counts. What an earlier stage of the same pass has brought to the cache counts there only.
-STAGE_PLANES = {
-    "repair": 3 + 3 + 3 + 1 + 2,  # all buffers
-    "demodulate": 3 + 1,  # divisor and luminance
-    "expose": 1 + 1,
-    "guides": 4 + 4,
-    "warp": 4 + 2 + 4 + 4,  # guides for rough blocks; motion, history and its guides
-    "accumulate": 3 + 3 + 2 + 4 + 1 + 2,
-    "encode": 4 + 1 + 3 + 3 + 1 + 12,
-    "reconstruct": 12 + 4 + 3,
-    "modulate": 3,
-}
 
 
-def load_frames(folder: Path, height: int, width: int) -> list[Frame]:
-    """Two consecutive frames of a sequence, tiled to a size: real noise, edges and motion."""
-    frames = []
-    for path in sorted(folder.glob("frame_*.exr"))[-2:]:
-        small = read_exr(path)
-        rows, columns = -(-height // small.shape[0]), -(-width // small.shape[1])
+def measure_in_turn(
+    settings: Sequence[Setting], clip: Clip, seconds: float
+) -> tuple[list[Run], dict[str, list[float]]]:
+    """Our models stage by stage, and milliseconds of each peer in the same rounds."""
+    peers: dict[str, list[float]] = {f"OIDN {quality}": [] for quality in OIDN_QUALITIES}
+    for name in peers:
+        run_peer(name, clip, 0)  # the first call allocates
 
-        def tile(image: np.ndarray | None, rows: int = rows, columns: int = columns) -> np.ndarray:
-            assert image is not None
-            tiled = cv2.repeat(image, rows, columns)
-            return np.ascontiguousarray(tiled[:height, :width])
-
-        frames.append(
-            Frame(
-                color=tile(small.color),
-                albedo=tile(small.albedo),
-                normal=tile(small.normal),
-                depth=tile(small.depth),
-                motion=tile(small.motion),
-            )
-        )
-    return frames
-
-
-def method(name: str, frames: list[Frame]) -> Callable[[int], object]:
-    """A model or a peer by name, as a function of the round; only that one is loaded."""
-    if name == NOTHING:
-        return lambda turn: None
-    if name.startswith("OIDN "):
-
-        def peer(turn: int) -> object:
-            frame = frames[turn % 2]
-            return open_image_denoise(frame.color, frame.albedo, frame.normal, name.split()[1])
-
-        return peer
-    denoiser = Denoiser(name)
-    return lambda turn: denoiser.denoise(frames[turn % 2])
-
-
-def measure(
-    frames: list[Frame], rounds: int
-) -> tuple[dict[str, list[float]], list[dict[str, Any]]]:
-    """Milliseconds of each method in each round, and stage timings of our models."""
-    names = [info.name for info in list_models()] + [f"OIDN {q}" for q in OIDN_QUALITIES]
-    made = {name: method(name, frames) for name in names}
-    for run in made.values():  # the first two calls allocate and choose kernels
-        run(0)
-        run(1)
-    times: dict[str, list[float]] = {name: [] for name in made}
-    for turn in track(range(rounds), "rounds", console=Console(stderr=True)):
-        for name, run in made.items():
+    def peers_in_turn(turn: int) -> None:
+        for name, times in peers.items():
             start = time.perf_counter()
-            run(turn)
-            times[name].append(1e3 * (time.perf_counter() - start))
-    stages = []
-    for info in list_models():
-        with Denoiser(info.name) as denoiser:
-            rows = []
-            for turn in range(rounds + 2):
-                denoiser.denoise(frames[turn % 2])
-                rows.append(denoiser.last_timings)
-        warm = rows[2:]
-        medians = {stage: float(np.median([row[stage] for row in warm])) for stage in warm[0]}
-        stages.append({"model": info.name, **medians})
-    return times, stages
+            run_peer(name, clip, turn)
+            times.append(1e3 * (time.perf_counter() - start))
+
+    return measure(settings, clip, seconds, files=False, progress=peers_in_turn), peers
 
 
-def peak_resident() -> float:
-    """Peak resident MiB of this process."""
-    status = Path("/proc/self/status")
-    if status.is_file():  # getrusage counts the parent's memory at the fork too
-        return float(status.read_text().split("VmHWM:")[1].split()[0]) / 1024
-    unit = 1 << 20 if sys.platform == "darwin" else 1 << 10
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+def run_peer(name: str, clip: Clip, turn: int) -> None:
+    """Open Image Denoise, or nothing, on one of the frames."""
+    if name != NOTHING:
+        frame, _ = clip.frame(turn)
+        open_image_denoise(frame.color, frame.albedo, frame.normal, name.split()[1])
 
 
-def peak_memory(method: str, height: int, width: int, sequence: Path) -> float:
-    """Peak resident MiB of a process that runs one method three times."""
-    result = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "stillray.training.benchmark",
-            "--only",
-            method,
-            "--height",
-            str(height),
-            "--width",
-            str(width),
-            "--sequence",
-            str(sequence),
-        ],
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    return float(result.stdout)
+def peer_memory(names: Sequence[str], setting: Setting, source: str) -> dict[str, Memory]:
+    """Peak memory of a process that runs one peer three times, and its net."""
+    size = ["--height", str(setting.height), "--width", str(setting.width), "--sequence", source]
+    peaks = {
+        name: float(
+            output_of([sys.executable, "-m", "stillray.training.benchmark", "--only", name, *size])
+        )
+        for name in (NOTHING, *names)
+    }
+    return {name: Memory(peak=peaks[name], net=peaks[name] - peaks[NOTHING]) for name in names}
 
 
-def machine_peaks() -> tuple[float, float]:
-    """GFLOP/s of a float32 matrix product and GB/s of a copy, each the best of a few."""
-    matrix = np.ones((2048, 2048), np.float32)
-    big = np.ones(1 << 26, np.float32)  # 256 MiB: beyond every cache
-    target = np.empty_like(big)
-    products, copies = [], []
-    for _ in range(5):
-        start = time.perf_counter()
-        matrix @ matrix
-        products.append(time.perf_counter() - start)
-        start = time.perf_counter()
-        np.copyto(target, big)
-        copies.append(time.perf_counter() - start)
-    return 2e-9 * 2048**3 / min(products), 2e-9 * big.nbytes / min(copies)
-
-
-def write_report(
-    times: dict[str, list[float]],
-    stages: list[dict[str, Any]],
-    peaks: dict[str, float],
-    size: tuple[int, int],
-) -> str:
-    """The figures as Markdown."""
-    medians = {name: float(np.median(values)) for name, values in times.items()}
+def methods_table(
+    runs: Sequence[Run], peers: dict[str, list[float]], memory: dict[str, Memory]
+) -> list[str]:
+    """A row a method."""
+    times = {run.info.name: [row[TOTAL] for row in run.warm] for run in runs} | peers
 
     def paired(name: str, peer: str) -> float:
         # round by round: a machine whose speed drifts slows both
         return float(np.median(np.array(times[name]) / np.array(times[peer])))
 
-    height, width = size
-    rounds = len(next(iter(times.values())))
-    gflops, bandwidth = machine_peaks()
+    lines = [
+        "| method | median ms | p95 | p99 | worst | / OIDN fast | / OIDN high "
+        "| peak MiB | net MiB |",
+        "|---" * 9 + "|",
+    ]
+    for name, values in times.items():
+        found = Summary.of(values)
+        lines.append(
+            f"| {name} | {found.median:.0f} | {found.p95:.0f} | {found.p99:.0f} "
+            f"| {found.worst:.0f} | {paired(name, 'OIDN fast'):.2f} "
+            f"| {paired(name, 'OIDN high'):.2f} "
+            f"| {memory[name].peak:.0f} | {memory[name].net:.0f} |"
+        )
+    return lines
+
+
+def stages_table(results: Sequence[Result]) -> list[str]:
+    """A row a stage: of each model the median, the floor, and the ratio of both."""
+    stages = [result.run.stages() for result in results]
+    names = [name for name in (*ORDER, TOTAL) if any(name in found for found in stages)]
+    headings = [f"{result.run.info.name} ms | floor | ratio" for result in results]
+    lines = ["| stage | " + " | ".join(headings) + " |", "|---" * (3 * len(results) + 1) + "|"]
+    for name in names:
+        cells = []
+        for result, found in zip(results, stages, strict=True):
+            if name not in found:
+                cells += ["", "", ""]
+                continue
+            median, floor = found[name].median, result.floor(name)
+            cells += [f"{median:.1f}"]
+            cells += [f"{floor:.1f}", f"{median / floor:.1f}"] if floor else ["", ""]
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def curve_lines(curve: Curve) -> list[str]:
+    """A curve in words and as a table."""
+    rows = [
+        [curve.name, *curve.labels],
+        ["ms", *(f"{cost:.1f}" for cost in curve.milliseconds)],
+    ]
+    if curve.memory:
+        rows.append(["net MiB", *(f"{net:.0f}" for net in curve.memory)])
+    head, *rest = ("| " + " | ".join(row) + " |" for row in rows)
+    return [f"{in_words(curve)}.", "", head, "|---" * len(rows[0]) + "|", *rest, ""]
+
+
+def write_report(
+    results: Sequence[Result],
+    peers: dict[str, list[float]],
+    memory: dict[str, Memory],
+    curves: Sequence[Curve],
+    pictures: Sequence[str] = (),
+) -> str:
+    """The figures as Markdown; pictures are linked by name."""
+    setting, peaks = results[0].run.setting, results[0].peaks
+    machine = describe() | {"pyoidn": version("pyoidn")}
     lines = [
         "# Time and memory",
         "",
-        "Written by `python -m stillray.training.benchmark --report docs/performance.md`.",
+        "Written by `make benchmark`: `python -m stillray.training.benchmark "
+        "--report docs/performance.md`.",
         "",
-        f"{platform.machine()}, {available_threads()} threads, NumPy's matrix product "
-        f"{gflops:.0f} GFLOP/s, copy {bandwidth:.0f} GB/s; onnxruntime {version('onnxruntime')}, "
-        f"opencv {cv2.__version__}, pyoidn {version('pyoidn')}. {width}x{height}, "
-        f"{rounds} rounds, the methods in turn in one process, all stages included; ratios are "
-        "medians over the rounds. Peak memory is that of a process with this method alone; net is "
-        "over the buffers and the libraries.",
+        ", ".join(f"{name} {value}" for name, value in machine.items())
+        + f"; matrix product {peaks.operations / 1e9:.0f} GFLOP/s, "
+        f"copy {peaks.bandwidth / 1e9:.1f} GB/s. "
+        f"{setting.width}x{setting.height}, {len(results[0].run.warm)} rounds, "
+        "the methods in turn in one process, all stages but the files included; ratios are medians "
+        "over the rounds. Peak memory is that of a process with this method alone; net is over the "
+        "buffers and the libraries.",
         "",
-        "| method | median ms | min | max | / OIDN fast | / OIDN high | peak MiB | net MiB |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for name, median in medians.items():
-        lines.append(
-            f"| {name} | {median:.0f} | {min(times[name]):.0f} | {max(times[name]):.0f} "
-            f"| {paired(name, 'OIDN fast'):.2f} | {paired(name, 'OIDN high'):.2f} "
-            f"| {peaks[name]:.0f} | {peaks[name] - peaks[NOTHING]:.0f} |"
-        )
-    # the most stages first, so that each stage comes in its place
-    longest = sorted(stages, key=len, reverse=True)
-    names = [name for name in dict.fromkeys(n for row in longest for n in row) if name != "model"]
-    lines += ["", "Median milliseconds of each stage:", ""]
-    lines += ["| model | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
-    for row in stages:
-        cells = (f"{row[name]:.1f}" if name in row else "" for name in names)
-        lines.append(f"| {row['model']} | " + " | ".join(cells) + " |")
-    floors = [
-        4e-6 * STAGE_PLANES[n] * height * width / bandwidth if n in STAGE_PLANES else 0.0
-        for n in names
-    ]
-    lines.append(
-        "| memory alone, six kernels | "
-        + " | ".join(f"{f:.1f}" if f else "" for f in floors)
-        + " |"
-    )
-    lines += [
+        *methods_table([result.run for result in results], peers, memory),
         "",
-        "Memory alone: what a stage has to read and write, over the copy's rate; "
-        f"{sum(floors):.0f} ms in all. Stages that run in one pass share its time.",
+        "## Stages",
+        "",
+        "Median milliseconds of each stage. The floor is the dearer of its operations at the "
+        "matrix product's rate and its bytes at the copy's, each plane moved once: what an earlier "
+        "stage of the same pass has brought to the cache counts there only. Stages that run in one "
+        "pass share its time; `rest` is what no stage accounts for.",
+        "",
+        *stages_table(results),
+        "",
+        "## Scaling",
+        "",
+        "Exponents are least squares of the logarithms. Made-up frames "
+        "(`stillray profile --scaling`); kernels and their sizes with random logits.",
+        "",
+        *(line for curve in curves for line in curve_lines(curve)),
+        *(f"![{name}]({name})" for name in pictures),
     ]
-    lines += ["", "The network against its floor, operations over the matrix product's rate:", ""]
-    for row in stages:
-        # two operations for every multiply and add
-        work = 2e-9 * multiply_adds(find_model(row["model"]).path, height, width)
-        floor = 1e3 * work / gflops
-        lines.append(
-            f"- {row['model']}: {work:.1f} GFLOP, floor {floor:.0f} ms, "
-            f"taken {row['network']:.0f} ms ({row['network'] / floor:.2f} times the floor)"
-        )
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines).rstrip() + "\n"
 
 
 def main(
     height: Annotated[int, typer.Option(min=1)] = 720,
     width: Annotated[int, typer.Option(min=1)] = 1280,
-    rounds: Annotated[int, typer.Option(min=1)] = 11,
-    sequence: Annotated[Path, typer.Option(help="Folder with frames to tile.")] = SEQUENCE,
-    report: Annotated[Path | None, typer.Option(help="Write the figures as Markdown.")] = None,
+    seconds: Annotated[float, typer.Option(min=0, help="Of the rounds.")] = 90,
+    sequence: Annotated[str, typer.Option(help="Frames to tile.")] = SEQUENCE,
+    scaling: Annotated[bool, typer.Option(help="Measure the scaling curves.")] = True,
+    report: Annotated[
+        Path | None, typer.Option(help="Write the figures as Markdown, pictures beside it.")
+    ] = None,
     only: Annotated[str, typer.Option(hidden=True)] = "",
 ) -> None:
-    """Print times, ratios, stages and memory."""
-    frames = load_frames(sequence, height, width)
+    """Print times, ratios, stages, memory and how they grow."""
+    clip = open_clip(sequence, (height, width))
     if only:
-        run = method(only, frames)
         for turn in range(3):
-            run(turn)
+            run_peer(only, clip, turn)
         print(peak_resident())
         return
-    times, stages = measure(frames, rounds)
-    peaks = {name: peak_memory(name, height, width, sequence) for name in (NOTHING, *times)}
-    text = write_report(times, stages, peaks, (height, width))
+    threads = available_threads()
+    settings = [
+        Setting(model=info.name, height=height, width=width, threads=threads)
+        for info in list_models()
+    ]
+    with status("rounds") as told:
+        peaks = measure_peaks(threads)
+        runs, peers = measure_in_turn(settings, clip, seconds)
+        told("memory")
+        ours = measure_memory(settings, sequence)
+        memory = dict(zip((run.info.name for run in runs), ours, strict=True))
+        memory |= peer_memory(list(peers), settings[0], sequence)
+        curves = scaling_curves("fast", threads=threads, sizes=SIZES, told=told) if scaling else []
+    results = [
+        Result(run=run, work=stage_work(run.info, clip.frames[0]), peaks=peaks, memory=found)
+        for run, found in zip(runs, ours, strict=True)
+    ]
+    pictures = []
+    if report is not None:
+        draw_profile(results, report.with_name(f"{report.stem}-stages.png"))
+        pictures.append(f"{report.stem}-stages.png")
+        if curves:
+            draw_curves(curves, report.with_name(f"{report.stem}-scaling.png"))
+            pictures.append(f"{report.stem}-scaling.png")
+    text = write_report(results, peers, memory, curves, pictures)
     print(text)
     if report is not None:
         with atomic_path(report) as temporary:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
@@ -31,7 +32,7 @@ from stillray.frame import Frame
 from stillray.prepare import History, prepare
 from stillray.registry import find_model, list_models
 from stillray.strips import Strips
-from stillray.training.peers import PEERS, find_peer
+from stillray.training.peers import PEERS, PeerDenoiser, find_peer
 
 Scores = dict[str, dict[str, dict[str, float]]]  # method -> scene -> metric -> value
 _REPORT_HEAD = """# Quality on validation
@@ -64,6 +65,18 @@ def find_scenes(folder: Path) -> list[Path]:
     return found
 
 
+def run_stream(
+    stream: PeerDenoiser, frames: Sequence[Frame], count: int
+) -> tuple[list[np.ndarray], list[float]]:
+    """Denoise frames in order: the last images, and the milliseconds of every frame."""
+    images, milliseconds = [], []
+    for frame in frames:
+        start = time.perf_counter()
+        images.append(stream.denoise(frame))
+        milliseconds.append(1e3 * (time.perf_counter() - start))
+    return images[-count:], milliseconds
+
+
 def evaluate_scene(
     scene: Path, models: Mapping[str, str], *, peers: Sequence[str], pictures: Path | None = None
 ) -> Iterator[tuple[str, dict[str, float]]]:
@@ -80,7 +93,7 @@ def evaluate_scene(
     pictures
         Folder for tone-mapped PNGs.
     """
-    paths, references = _last_referenced(scene)
+    paths, references = last_referenced(scene)
     frames = [read_exr(path) for path in paths]
     count = len(references)
     if pictures:
@@ -96,27 +109,23 @@ def evaluate_scene(
     yield scored("accumulated", accumulated)
     for label, model in models.items():
         with Denoiser(model) as denoiser:
-            yield scored(label, [denoiser.denoise(frame) for frame in frames])
+            yield scored(label, run_stream(denoiser, frames, count)[0])
         with Denoiser(model, temporal=False) as denoiser:
-            yield scored(
-                f"{label}, one frame", [denoiser.denoise(frame) for frame in frames[-count:]]
-            )
+            yield scored(f"{label}, one frame", run_stream(denoiser, frames[-count:], count)[0])
     chosen = [find_peer(name) for name in peers]
     for peer in chosen:
-        stream = peer.make()
         seen = frames if peer.remembers else frames[-count:]
-        yield scored(peer.label, [stream.denoise(frame) for frame in seen])
+        yield scored(peer.label, run_stream(peer.make(), seen, count)[0])
     ready = [
         dataclasses.replace(frame, color=color)
         for frame, color in zip(frames[-count:], accumulated[-count:], strict=True)
     ]
     for peer in chosen:
         if not peer.remembers:
-            stream = peer.make()
-            yield scored(f"{peer.label}, accumulated", [stream.denoise(frame) for frame in ready])
+            yield scored(f"{peer.label}, accumulated", run_stream(peer.make(), ready, count)[0])
 
 
-def _last_referenced(scene: Path) -> tuple[list[Path], list[np.ndarray]]:
+def last_referenced(scene: Path) -> tuple[list[Path], list[np.ndarray]]:
     """Frames up to the last with a reference, and the references of the last run of frames."""
     with_reference = {path.name.replace("ref", "frame"): path for path in scene.glob("ref_*.exr")}
     last = max(with_reference)

@@ -13,7 +13,9 @@ from stillray.cli.compare import compare
 from stillray.cli.denoise import denoise
 from stillray.cli.info import info
 from stillray.cli.models import models
+from stillray.cli.profile import profile
 from stillray.cli.program import BAD_INPUT, DONE, FAILED, complain
+from stillray.cli.tradeoff import tradeoff
 from stillray.errors import InputError
 
 
@@ -27,7 +29,7 @@ def build_app() -> typer.Typer:
         rich_markup_mode=None,
     )
     app.callback()(_version_option)
-    for command in (compare, denoise, info, models):
+    for command in (compare, denoise, info, models, profile, tradeoff):
         app.command()(command)
     return app
 

@@ -1,0 +1,1 @@
+"""What denoising costs here: stages, memory, floors and scaling, on frames that are made up."""
