@@ -1,4 +1,4 @@
-"""Reading and writing OpenEXR files: a renderer's buffers in, the same file with a clean picture out.
+"""Reading and writing OpenEXR files: buffers in, the same file with a clean picture out.
 
 Alpha is never touched: colour is denoised as it is stored, which in EXR is premultiplied, so that
 compositing the result over a background works as with the source.

@@ -68,21 +68,23 @@ class MotionConvention:
         }[self.unit]
         return self.signs[0] * x, self.signs[1] * y
 
-    def displacement(self, vectors: np.ndarray) -> np.ndarray:
-        """Previous minus current position, in pixels, still lying where the file has it.
+    def displacement(self, vectors: np.ndarray, height: int, width: int) -> np.ndarray:
+        """Previous minus current position in pixels, of vectors from a frame of that size.
 
         Parameters
         ----------
-        vectors : (h, w, 2) float
+        vectors : (..., 2) float
             As the file has them.
+        height, width
+            Of the whole frame.
 
         Returns
         -------
-        (h, w, 2) float32
+        (..., 2) float32
         """
         if self.swapped:
             vectors = vectors[..., ::-1]
-        scales = np.array(self.scales(*vectors.shape[:2]), np.float32)
+        scales = np.array(self.scales(height, width), np.float32)
         moved: np.ndarray = vectors.astype(np.float32) * scales
         return moved
 
@@ -100,26 +102,53 @@ class MotionConvention:
             Pixels, x right and y down. Where no vector of the previous frame arrives it points
             out of the frame, so that no history is taken.
         """
-        displacement = self.displacement(vectors)
-        return displacement if self.stored == "now" else _arriving(displacement)
+        height, width = vectors.shape[:2]
+        if self.stored == "now":
+            return self.displacement(vectors, height, width)
+        row, column = np.mgrid[:height, :width].astype(np.float32)
+        motion, lost = self.arriving(vectors, column, row)
+        motion[lost] = (2 * width, 2 * height)
+        return motion
+
+    def arriving(
+        self, vectors: np.ndarray, x: np.ndarray, y: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Motion at pixels of the current frame, from vectors that lie where surfaces were.
+
+        Solves ``motion(q) = displacement(q + motion(q))``, following vectors back and forth.
+
+        Parameters
+        ----------
+        vectors : (H, W, 2) float32
+            As the previous frame's file has them.
+        x, y : (h, w) float32
+            Pixels of the current frame.
+
+        Returns
+        -------
+        motion : (h, w, 2) float32
+            Pixels.
+        lost : (h, w) bool
+            Where no vector arrives.
+        """
+
+        def displaced(motion: np.ndarray | float) -> np.ndarray:
+            shift = np.broadcast_to(np.float32(motion), (*x.shape, 2))
+            found = nearest(vectors, x + shift[..., 0], y + shift[..., 1])
+            return np.nan_to_num(self.displacement(found, *vectors.shape[:2]), posinf=0, neginf=0)
+
+        motion = displaced(0.0)
+        for _ in range(_ROUNDS):
+            motion = displaced(motion)
+        apart = motion - displaced(motion)
+        return motion, np.hypot(apart[..., 0], apart[..., 1]) > _MEETS
 
 
-def _arriving(before: np.ndarray) -> np.ndarray:
-    """Motion at the pixels that vectors come to: solves ``motion(q) = before(q + motion(q))``."""
-    height, width = before.shape[:2]
-    row, column = np.mgrid[:height, :width].astype(np.float32)
-    before = np.nan_to_num(before, posinf=0, neginf=0)
-    motion = before
-    for _ in range(_ROUNDS):
-        motion = _nearest(before, column + motion[..., 0], row + motion[..., 1])
-    back = _nearest(before, column + motion[..., 0], row + motion[..., 1])
-    lost = np.hypot(*np.moveaxis(motion - back, -1, 0)) > _MEETS
-    motion[lost] = (2 * width, 2 * height)
-    return motion
+def nearest(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """An image at positions ``(h, w)``: the nearest pixel, the border's outside of the image.
 
-
-def _nearest(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    # never interpolated: a vector between two surfaces' vectors belongs to neither
+    Vectors are never interpolated: one between those of two surfaces belongs to neither.
+    """
     sampled: np.ndarray = cv2.remap(image, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
     return sampled
 

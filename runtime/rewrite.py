@@ -101,11 +101,11 @@ def _encodable(source: Path, part: Part) -> Part:
             f"{source}: cannot be written with its structure: the part with its color must be flat,"
             " of one level, and without subsampled channels"
         )
-    if any(channel.kind == "uint" for channel in part.channels):
-        if part.compression not in _SAME_BITS:
-            # these would round integers that stand beside colour; nothing is lost with zip
-            compression = compression_attribute("zip")
-            return _with_attributes(replace(part, compression="zip"), (compression,))
+    integers = any(channel.kind == "uint" for channel in part.channels)
+    if integers and part.compression not in _SAME_BITS:
+        # these would round integers that stand beside colour; nothing is lost with zip
+        compression = compression_attribute("zip")
+        return _with_attributes(replace(part, compression="zip"), (compression,))
     return part
 
 
