@@ -262,9 +262,7 @@ def _conventions(
             yield convention
 
 
-def _preferred(
-    tried: Sequence[_Tried], documented: MotionConvention, blocks: np.ndarray
-) -> _Tried:
+def _preferred(tried: Sequence[_Tried], documented: MotionConvention, blocks: np.ndarray) -> _Tried:
     """The one with the least error; the documented one where those pixels do not contradict it."""
     best = tried[0]
     for entry in tried:
