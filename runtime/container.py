@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -226,7 +227,7 @@ class _Parser:
         for number, part in enumerate(parts):
             self.check_density(part, [c for c in chunks if c.part == number])
         chunks.sort(key=lambda chunk: chunk.start)
-        if any(a.stop > b.start for a, b in zip(chunks, chunks[1:], strict=False)):
+        if any(a.stop > b.start for a, b in pairwise(chunks)):
             raise _BrokenError("its chunks overlap")
         return Container(flags, tuple(parts), tuple(chunks))
 

@@ -1,4 +1,4 @@
-"""What a file's motion means, proven from two frames: the right convention warps one onto the other.
+"""What a file's motion means, proven from two frames: the right convention warps one to the other.
 
 Every convention that a renderer might use is tried: which component is x, both signs, pixels or
 parts of the frame, vectors over a whole frame or half of it, stored where surfaces are now or where
