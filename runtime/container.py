@@ -55,7 +55,8 @@ class Channel(NamedTuple):
     sampling: tuple[int, int]
 
 
-class Chunk(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Chunk:
     """Where a chunk's bytes lie in the file, without the number of its part."""
 
     part: int
@@ -166,7 +167,7 @@ def read_container(path: Path, *, headers_only: bool = False) -> Container:
     with path.open("rb") as file:
         data = np.memmap(file, np.uint8, "r") if path.stat().st_size else np.zeros(0, np.uint8)
         try:
-            return _Parser(memoryview(data)).container(headers_only)
+            return _Parser(data.data).container(headers_only)
         except (struct.error, IndexError, OverflowError):
             raise InputError(f"{path}: not a readable EXR file: it is truncated") from None
         except _BrokenError as error:

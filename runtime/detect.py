@@ -107,7 +107,7 @@ def detect_motion(
     motion = matches.get("motion")
     if motion is None or motion.convention is None or "color" not in matches:
         return Detection(None, "the file has no motion to prove")
-    roles = [role for role in ("albedo", "normal") if role in matches] or ["color"]
+    roles: list[str] = [role for role in ("albedo", "normal") if role in matches] or ["color"]
     if any(name not in previous.channels for r in roles for name in matches[r].channels):
         return Detection(None, "the frame before has not the same layers", motion)
     window = file.window(matches["color"].channels[0])
@@ -317,8 +317,8 @@ def _moving(
     at = at[np.linspace(0, len(at) - 1, count).astype(np.intp)]
     # an image has full rows only: a few pixels are left out of the last
     columns = min(_ROW, count)
-    at = at[: count // columns * columns].reshape(-1, columns)
-    row, column = np.divmod(at, vectors.shape[1])
+    grid = at[: count // columns * columns].reshape(-1, columns)
+    row, column = np.divmod(grid, vectors.shape[1])
     return column.astype(np.float32), row.astype(np.float32)
 
 

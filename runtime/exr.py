@@ -31,6 +31,7 @@ __all__ = [
     "read_channels",
     "read_exr",
     "read_metadata",
+    "read_picture",
     "require_color",
     "write_channels",
     "write_exr",
@@ -106,6 +107,24 @@ def read_exr(
     return Frame(**buffers)
 
 
+def read_picture(
+    path: str | os.PathLike[str], *, layers: Mapping[str, str] | None = None
+) -> np.ndarray:
+    """The color that `write_exr` puts a denoised picture into, ``(h, w, 3)`` float32.
+
+    That is what `read_exr` takes for color, but in files that keep the noisy image beside it.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has no color.
+    """
+    file = ExrFile.open(path)
+    color = require_color(file.path, find_layers(file.channels, layers))[0].writes
+    planes = file.read(color, file.window(color[0]))
+    return np.stack([planes[name] for name in color], axis=-1)
+
+
 def require_color(path: Path, matches: list[LayerMatch]) -> list[LayerMatch]:
     """The matches; `InputError` where none of them is color."""
     if not any(match.role == "color" for match in matches):
@@ -166,7 +185,7 @@ def write_exr(
     like: str | os.PathLike[str] | None = None,
     layers: Mapping[str, str] | None = None,
     only_color: bool = False,
-    provenance: Mapping[str, str] | None = None,
+    attributes: Mapping[str, str] | None = None,
 ) -> int:
     """Write a denoised picture, complete or not at all.
 
@@ -189,9 +208,9 @@ def write_exr(
     only_color
         Write R, G, B in half precision and nothing else of the source but its metadata and,
         where the picture has its size, its windows.
-    provenance
-        Where the picture comes from, such as ``{"model": "kpyr-5"}``: becomes the attributes
-        ``stillray/model`` and so on. ``stillray/version`` is always written.
+    attributes
+        Further attributes, such as where the picture comes from: ``{"stillray:model": "kpyr-5"}``.
+        ``stillray:version`` is always written.
 
     Returns
     -------
@@ -209,8 +228,7 @@ def write_exr(
         raise InputError(f"image must have shape (height, width, 3), got {image.shape}")
     if image.dtype.kind != "f":
         raise InputError(f"image must be floating point, got {image.dtype}")
-    tags = {"version": __version__, **(provenance or {})}
-    tags = {f"stillray/{name}": str(value) for name, value in tags.items()}
+    tags = {"stillray:version": __version__, **(attributes or {})}
     if like is not None and not only_color:
         source = ExrFile.open(like)
         color = [m for m in find_layers(source.channels, layers) if m.role == "color"]

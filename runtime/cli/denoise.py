@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import sys
 import time
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -75,7 +75,7 @@ def _run(
     milliseconds = []
     for step in steps:
         job = step.job
-        frame = read_exr(job.source, **job.companions)
+        frame = read_exr(job.source, **dict[str, Any](job.companions))
         if step.starts_anew:
             denoiser.reset()
         start = time.perf_counter()
