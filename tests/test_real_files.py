@@ -48,8 +48,9 @@ def mitsuba_file(tmp_path_factory):
     }
     path = tmp_path_factory.mktemp("mitsuba") / "f.exr"
     loaded = mitsuba.load_dict(scene)
-    mitsuba.render(loaded, spp=2, seed=1)
-    loaded.sensors()[0].film().write(str(path))
+    sensor = loaded.sensors()[0]
+    loaded.integrator().render(loaded, sensor, seed=1, spp=2)
+    sensor.film().write(str(path))
     return path
 
 
