@@ -48,9 +48,8 @@ def mitsuba_file(tmp_path_factory):
     }
     path = tmp_path_factory.mktemp("mitsuba") / "f.exr"
     loaded = mitsuba.load_dict(scene)
-    sensor = loaded.sensors()[0]
-    loaded.integrator().render(loaded, sensor, seed=1, spp=2)
-    sensor.film().write(str(path))
+    mitsuba.render(loaded, spp=2, seed=1)
+    loaded.sensors()[0].film().write(str(path))
     return path
 
 
@@ -59,7 +58,8 @@ def test_mitsuba_is_denoised_with_all_its_buffers_and_no_flags(tmp_path, mitsuba
     assert noisy.given == {"color", "albedo", "normal", "depth"}
     lengths = np.linalg.norm(noisy.normal, axis=-1)
     assert lengths.max() < 1.01  # normals, not positions, which lie further out
-    assert (lengths > 0.5).mean() > 0.8  # the pixel filter mixes them at edges
+    hit = noisy.depth > noisy.depth.max() / 2  # beside the box nothing is
+    assert (lengths[hit] > 0.5).mean() > 0.8  # the pixel filter mixes them at edges
     assert main(["denoise", str(mitsuba_file), "-o", str(tmp_path / "c.exr"), "-m", "fast"]) == 0
     clean = read_picture(tmp_path / "c.exr")
     assert roughness(clean) < 0.7 * roughness(noisy.color)
