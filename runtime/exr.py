@@ -7,7 +7,7 @@ compositing the result over a background works as with the source.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from stillray.container import Window
 from stillray.errors import InputError
 from stillray.exr_file import Channels, ExrFile
 from stillray.frame import Frame
-from stillray.layers import LayerMatch, find_alone, find_layers, gather
+from stillray.layers import LayerMatch, find_alone, find_layers, find_lights, gather
 from stillray.motion import MotionConvention
 from stillray.openimageio import checked_container, opened, openimageio, reason
 from stillray.rewrite import rewrite
@@ -30,6 +30,7 @@ __all__ = [
     "check_layer",
     "read_channels",
     "read_exr",
+    "read_lights",
     "read_metadata",
     "read_picture",
     "require_color",
@@ -125,6 +126,44 @@ def read_picture(
     return np.stack([planes[name] for name in color], axis=-1)
 
 
+def read_lights(
+    path: str | os.PathLike[str],
+    names: Sequence[str] = (),
+    *,
+    layers: Mapping[str, str] | None = None,
+) -> dict[str, np.ndarray]:
+    """Layers of light beside the color, for `Denoiser.denoise_layers`.
+
+    Parameters
+    ----------
+    path
+        An OpenEXR file.
+    names
+        Which layers, as they are called in the file; all that are known to be light if empty.
+    layers
+        As for `read_exr`.
+
+    Returns
+    -------
+    dict of str to (h, w, 3) float32
+        By name, in the data window of the color.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has no such layer.
+    """
+    file = ExrFile.open(path)
+    color = require_color(file.path, find_layers(file.channels, layers))[0]
+    channels = _lights(file, names, layers)
+    wanted = dict.fromkeys(name for listed in channels.values() for name in listed)
+    planes = file.read(wanted, file.window(color.channels[0]))
+    return {
+        name: np.stack([planes[channel] for channel in listed], axis=-1)
+        for name, listed in channels.items()
+    }
+
+
 def require_color(path: Path, matches: list[LayerMatch]) -> list[LayerMatch]:
     """The matches; `InputError` where none of them is color."""
     if not any(match.role == "color" for match in matches):
@@ -185,6 +224,7 @@ def write_exr(
     like: str | os.PathLike[str] | None = None,
     layers: Mapping[str, str] | None = None,
     only_color: bool = False,
+    lights: Mapping[str, np.ndarray] | None = None,
     attributes: Mapping[str, str] | None = None,
 ) -> int:
     """Write a denoised picture, complete or not at all.
@@ -208,6 +248,9 @@ def write_exr(
     only_color
         Write R, G, B in half precision and nothing else of the source but its metadata and,
         where the picture has its size, its windows.
+    lights
+        Filtered layers by name, from `read_lights`, which replace those of the source; not with
+        ``only_color``.
     attributes
         Further attributes, such as where the picture comes from: ``{"stillray:model": "kpyr-5"}``.
         ``stillray:version`` is always written.
@@ -236,6 +279,8 @@ def write_exr(
             replaced = {
                 source.channels[name]: image[..., i] for i, name in enumerate(color[0].writes)
             }
+            if lights:
+                replaced |= _replaced_lights(source, color[0], lights, layers)
             with atomic_path(path) as temporary:
                 return rewrite(source.path, source.container, temporary, replaced, tags)
     return write_channels(
@@ -330,6 +375,38 @@ def _require_alone(
     if match is None:
         raise InputError(f"{path}: must hold {role} channels, got {', '.join(names)}")
     return match
+
+
+def _lights(
+    file: ExrFile, names: Sequence[str], layers: Mapping[str, str] | None
+) -> dict[str, tuple[str, ...]]:
+    """Channels of the layers of those names; of all layers of light if there are no names."""
+    known = find_lights(file.channels, layers)
+    if not names:
+        return known
+    found = {}
+    for name in names:
+        if name not in known:
+            # named by a user, it need not be known to be light
+            known[name] = find_layers(file.channels, {"color": name})[0].channels
+        found[name] = known[name]
+    return found
+
+
+def _replaced_lights(
+    file: ExrFile,
+    color: LayerMatch,
+    lights: Mapping[str, np.ndarray],
+    layers: Mapping[str, str] | None,
+) -> dict[tuple[int, str], np.ndarray]:
+    """Part and channel to plane, of filtered layers."""
+    replaced = {}
+    for name, channels in _lights(file, tuple(lights), layers).items():
+        if file.window(channels[0]) != file.window(color.writes[0]):
+            raise InputError(f"{file.path}: {name} must have the data window of the color")
+        for i, channel in enumerate(channels):
+            replaced[file.channels[channel]] = lights[name][..., i]
+    return replaced
 
 
 def _require_channels(file: ExrFile, names: Iterable[str]) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 
 import numpy as np
 
@@ -17,7 +18,15 @@ from stillray.errors import InputError
 from stillray.motion import MotionConvention
 from stillray.renderers import ROLES, Rule, renderer_table
 
-__all__ = ["ROLES", "LayerMatch", "find_alone", "find_layers", "gather", "parse_overrides"]
+__all__ = [
+    "ROLES",
+    "LayerMatch",
+    "find_alone",
+    "find_layers",
+    "find_lights",
+    "gather",
+    "parse_overrides",
+]
 
 _UNPROVEN = "sign and units of this motion are not verified: not used unless two frames prove them"
 _SHORTEST_LOOSE_NAME = 3  # letters: shorter names, N and Z, must match exactly
@@ -127,6 +136,48 @@ def find_layers(
     return matches
 
 
+def find_lights(
+    channel_names: Iterable[str], chosen: Mapping[str, str] | None = None
+) -> dict[str, tuple[str, ...]]:
+    """Find layers of light beside the color: diffuse, specular, groups of lights.
+
+    Parameters
+    ----------
+    channel_names, chosen
+        As for `find_layers`.
+
+    Returns
+    -------
+    dict of str to tuple of str
+        Name of the layer to its channels, in the order of the file; those of the color's view
+        layer, where it has one.
+    """
+    names = list(dict.fromkeys(channel_names))
+    table = renderer_table()
+    matches = find_layers(names, chosen)
+    taken = {name for match in matches for name in (*match.channels, *match.writes)}
+    color = [match for match in matches if match.role == "color"]
+    view_layer = _split_prefix(color[0].channels[0].rpartition(".")[0])[0] if color else ""
+    lights, never = (
+        [_words(pattern) for pattern in patterns] for patterns in (table.lights, table.never)
+    )
+    found: dict[str, tuple[str, ...]] = {}
+    for layer, parts in _layers_of(names).items():
+        prefix, plain = _split_prefix(layer)
+        words = _words(plain)
+        if prefix != view_layer or not any(fnmatchcase(words, pattern) for pattern in lights):
+            continue
+        if any(fnmatchcase(words, pattern) for pattern in never):
+            continue
+        for alternative in table.components["color"]:
+            if parts.issuperset(alternative):
+                channels = _channels_of(layer, alternative)
+                if not taken.intersection(channels):
+                    found[layer] = channels
+                break
+    return found
+
+
 def find_alone(
     role: str, channel_names: Iterable[str], chosen: Mapping[str, str] | None = None
 ) -> LayerMatch | None:
@@ -219,6 +270,10 @@ def _split_prefix(layer: str) -> tuple[str, str]:
 
 def _loose(name: str) -> str:
     return re.sub(r"[\s_-]", "", name).lower()
+
+
+def _words(name: str) -> str:
+    return re.sub(r"[\s-]", "_", name).lower()
 
 
 def _channels_of(layer: str, parts: Iterable[str]) -> tuple[str, ...]:

@@ -55,11 +55,17 @@ class Rule:
 
 @dataclass(frozen=True)
 class RendererTable:
-    """All rules, in order; and by role the components of layers and of files of one buffer."""
+    """All rules, in order; by role the components of layers and of files of one buffer.
+
+    ``lights`` and ``never`` are patterns of names of layers that are light, and of those that are
+    not for all that.
+    """
 
     rules: tuple[Rule, ...]
     components: dict[str, tuple[tuple[str, ...], ...]]
     alone: dict[str, tuple[tuple[str, ...], ...]]
+    lights: tuple[str, ...]
+    never: tuple[str, ...]
 
 
 @lru_cache(maxsize=1)
@@ -85,7 +91,10 @@ def parse_table(text: str) -> RendererTable:
         _require_known(renderer, _RENDERER_KEYS)
         for role in ROLES:
             rules += [_rule(renderer, role, entry, components) for entry in renderer.get(role, ())]
-    return RendererTable(tuple(rules), components, alone)
+    lights = data["lights"]
+    return RendererTable(
+        tuple(rules), components, alone, tuple(lights["layers"]), tuple(lights["never"])
+    )
 
 
 def _rule(renderer: dict[str, Any], role: str, entry: Any, components: dict[str, Any]) -> Rule:

@@ -5,6 +5,8 @@ import pytest
 from tests.conftest import make_frame
 
 import stillray
+from stillray.cli import main
+from stillray.exr import read_channels, read_exr, write_channels
 from stillray.frame import Frame
 
 HEIGHT, WIDTH = 45, 38
@@ -119,3 +121,70 @@ def test_a_layer_of_another_shape_is_named(layer):
     with stillray.Denoiser("fast") as denoiser:
         with pytest.raises(stillray.InputError, match=r"layer spec must have shape \(45, 38, 3\)"):
             denoiser.denoise_layers(frame, {"spec": layer})
+
+
+def write_shot(folder, *, extra=()):
+    """Two frames with two layers of light that add up to the color, and an id."""
+    for index, frame in enumerate(frames(2)):
+        share = np.random.default_rng(index).random(frame.color.shape, np.float32)
+        layers = {"": frame.color, "diffuse.": frame.color * share}
+        layers |= {"specular.": frame.color * (1 - share), "albedo.": frame.albedo}
+        channels = {f"{k}{c}": v[..., i] for k, v in layers.items() for i, c in enumerate("RGB")}
+        channels |= {f"motion.{c}": frame.motion[..., i] for i, c in enumerate("XY")}
+        channels["id.Z"] = np.arange(HEIGHT * WIDTH, dtype=np.float32).reshape(HEIGHT, WIDTH) / 7
+        channels |= {name: frame.color[..., 0] for name in extra}
+        formats = dict.fromkeys(channels, "float")
+        write_channels(folder / f"s.{index}.exr", channels, formats=formats)
+
+
+@pytest.mark.parametrize("option", ["all", "diffuse,specular"])
+def test_command_line_writes_layers_that_add_up_into_the_same_file(tmp_path, option):
+    write_shot(tmp_path)
+    command = ["denoise", f"{tmp_path}/s.#.exr", "-o", f"{tmp_path}/c.#.exr", "-m", "balanced"]
+    assert main([*command, "--aovs", option]) == 0
+    for index in (0, 1):
+        noisy, clean = (read_channels(tmp_path / f"{n}.{index}.exr") for n in ("s", "c"))
+        assert list(clean) == list(noisy)
+        for c in "RGB":
+            total = clean[f"diffuse.{c}"] + clean[f"specular.{c}"]
+            np.testing.assert_allclose(total, clean[c], rtol=1e-5, atol=1e-5)
+            assert not np.allclose(clean[f"diffuse.{c}"], noisy[f"diffuse.{c}"], rtol=0.05)
+        for name in ("id.Z", "albedo.G", "motion.X"):
+            np.testing.assert_array_equal(clean[name], noisy[name])
+
+
+def test_command_line_without_aovs_leaves_layers_as_they_are(tmp_path):
+    write_shot(tmp_path)
+    assert main(["denoise", f"{tmp_path}/s.1.exr", "-o", f"{tmp_path}/c.exr", "-m", "fast"]) == 0
+    noisy, clean = read_channels(tmp_path / "s.1.exr"), read_channels(tmp_path / "c.exr")
+    np.testing.assert_array_equal(clean["diffuse.R"], noisy["diffuse.R"])
+    assert not np.array_equal(clean["R"], noisy["R"])
+
+
+def test_command_line_names_a_layer_that_is_not_there(tmp_path, capsys):
+    write_shot(tmp_path)
+    command = ["denoise", f"{tmp_path}/s.1.exr", "-o", f"{tmp_path}/c.exr", "-m", "fast"]
+    assert main([*command, "--aovs", "diffuse,rim"]) == 2
+    assert "rim" in capsys.readouterr().err
+    assert not (tmp_path / "c.exr").exists()
+
+
+def test_command_line_only_color_writes_nothing_else(tmp_path):
+    write_shot(tmp_path)
+    command = ["denoise", f"{tmp_path}/s.1.exr", "-o", f"{tmp_path}/c.exr", "-m", "fast"]
+    assert main([*command, "--only-color"]) == 0
+    assert set(read_channels(tmp_path / "c.exr")) == {"R", "G", "B"}
+
+
+def test_command_line_takes_layers_by_name(tmp_path):
+    names = ["key.R", "key.G", "key.B"]
+    write_shot(tmp_path, extra=names)
+    command = ["denoise", f"{tmp_path}/s.1.exr", "-o", f"{tmp_path}/c.exr", "-m", "fast"]
+    assert main([*command, "--layer", "color=key", "--layer", "albedo=none"]) == 0
+    noisy, clean = read_channels(tmp_path / "s.1.exr"), read_channels(tmp_path / "c.exr")
+    np.testing.assert_array_equal(clean["R"], noisy["R"])
+    frame = read_exr(tmp_path / "s.1.exr", layers={"color": "key", "albedo": "none"})
+    assert "albedo" not in frame.given
+    with stillray.Denoiser("fast") as denoiser:
+        expected = denoiser.denoise(frame)
+    np.testing.assert_array_equal(np.stack([clean[n] for n in names], -1), expected)

@@ -1,13 +1,16 @@
 """What a renderer's vectors mean is found out by warping, and doubted where it cannot be."""
 
+import json
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+import stillray
+from stillray.cli import main
 from stillray.detect import detect_in_sequence, detect_motion, needs_proof
-from stillray.exr import read_exr, write_channels
+from stillray.exr import read_exr, read_picture, write_channels
 from stillray.motion import MotionConvention
 
 BLENDER = Path(__file__).parent / "data/blender"
@@ -216,3 +219,33 @@ def test_blender_vector_pass_is_what_the_table_says():
 def test_our_own_motion_is_what_the_table_says():
     detection = detect_motion(ROOM / "frame_0003.exr", ROOM / "frame_0004.exr")
     assert detection.convention == MotionConvention(), detection.reason
+
+
+@pytest.mark.parametrize("kind", ["y-up", "forward"])
+def test_command_line_uses_motion_once_it_is_proven(tmp_path, capsys, kind):
+    names, (source, factors, _) = LAYOUTS["v-ray"], CONVENTIONS[kind]
+    paths = write_frames(
+        tmp_path, names, lambda i, f: padded(source(i, f) * np.float32(factors), names["motion"])
+    )
+    command = ["denoise", f"{tmp_path}/f.#.exr", "-o", f"{tmp_path}/c.#.exr", "-m", "fast"]
+    assert main(command) == 0
+    assert "motion proven: " in capsys.readouterr().out
+    convention = detect_motion(*paths).convention
+    with stillray.Denoiser("fast") as denoiser:
+        denoiser.denoise(read_exr(paths[0]))
+        frame = read_exr(paths[1], convention=convention, before=paths[0])
+        expected = denoiser.denoise(frame)
+        alone = stillray.denoise(frame.color, frame.albedo, frame.normal, quality="fast")
+    clean = read_picture(tmp_path / "c.1.exr")
+    np.testing.assert_array_equal(clean, expected.astype(np.float16))
+    assert not np.allclose(clean, alone, rtol=1e-2)  # it has a history
+
+
+def test_info_tells_what_was_proven_and_why(tmp_path, capsys):
+    write_frames(tmp_path, LAYOUTS["redshift"], backward)
+    assert main(["info", f"{tmp_path}/f.#.exr", "-m", "fast", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    motion = next(entry for entry in facts["layers"] if entry["role"] == "motion")
+    assert motion["used"]
+    assert "leaves an error of" in motion["note"]
+    assert facts["parts"][0]["compression"] == "zip"
