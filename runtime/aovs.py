@@ -8,7 +8,7 @@ beauty, what comes out adds up to the denoised beauty, to float rounding.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import cv2
@@ -59,6 +59,7 @@ def filter_layers(
     family: Family,
     strips: Strips,
     *,
+    irradiance: Collection[str] = (),
     temporal: bool,
 ) -> tuple[dict[str, np.ndarray], dict[str, LayerPast]]:
     """Filter layers of a frame that has just been denoised.
@@ -77,6 +78,8 @@ def filter_layers(
         Of the model.
     strips
         Where the work runs.
+    irradiance
+        Names of layers that are without the colour of surfaces: not divided by it.
     temporal
         Whether a next frame will want the layers' past.
 
@@ -87,7 +90,7 @@ def filter_layers(
     """
     worth = prepared.history.mean if prepared.sample is None else prepared.sample
     weight = np.ascontiguousarray(worth[..., 3])
-    share = _share_of_radiance(frame, prepared, worth)
+    factor = _factor(frame, prepared, worth)
     broken = ~np.isfinite(frame.color).all(axis=-1)
     accumulated = _accumulation(prepared, history, weight, spec, strips)
     images, pasts = {}, {}
@@ -96,7 +99,8 @@ def filter_layers(
         if broken.any():
             radiance[broken] = 0
             radiance = fill(radiance, ~broken)
-        light = radiance * share
+        divisor = None if name in irradiance else prepared.divisor
+        light = radiance * factor if divisor is None else radiance / divisor * factor
         sample = mean = cv2.merge([*cv2.split(light), weight])
         previous: np.ndarray | None = None
         if accumulated is not None and history is not None and prepared.motion is not None:
@@ -108,6 +112,7 @@ def filter_layers(
             prepared,
             history=replace(prepared.history, mean=mean),
             sample=None if accumulated is None else sample,
+            divisor=divisor,
         )
         images[name] = image = family.reconstruct(own, previous, outputs, spec, strips, {})
         if temporal:
@@ -116,21 +121,19 @@ def filter_layers(
     return images, pasts
 
 
-def _share_of_radiance(frame: Frame, prepared: Prepared, worth: np.ndarray) -> np.ndarray:
-    """What the beauty's radiance became irradiance by, ``(h, w, 3)``: divided, outliers darkened.
+def _factor(frame: Frame, prepared: Prepared, worth: np.ndarray) -> np.ndarray:
+    """What each pixel of the beauty was darkened by as an outlier, ``(h, w, 1)``.
 
-    Outliers were darkened as a whole (`stillray.accumulate.bound`), so one factor a pixel tells.
+    See `stillray.accumulate.bound`: all channels of a pixel alike, so their sums tell.
     """
     color, _ = repair_radiance(frame.color)
     irradiance = color if prepared.divisor is None else color / prepared.divisor
-    before, after = (
-        cv2.transform(i, np.ones((1, 3), np.float32)) for i in (irradiance, worth[..., :3])
-    )
+    total = np.ones((1, 3), np.float32)
+    before, after = cv2.transform(irradiance, total), cv2.transform(worth[..., :3], total)
     factor = np.ones_like(before)
     np.divide(after, before, out=factor, where=before > 0)
     factor[np.abs(factor - 1) < _ROUNDING] = 1
-    share = np.repeat(factor[..., None], 3, axis=-1)
-    return share if prepared.divisor is None else share / prepared.divisor
+    return factor[..., None]
 
 
 def _accumulation(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from types import TracebackType
 
@@ -128,7 +128,11 @@ class Denoiser:
         return self._run(frame, {})[0]
 
     def denoise_layers(
-        self, frame: Frame, layers: Mapping[str, np.ndarray]
+        self,
+        frame: Frame,
+        layers: Mapping[str, np.ndarray],
+        *,
+        irradiance: Collection[str] = (),
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Denoise the next frame, and filter other layers of it exactly as its color.
 
@@ -142,6 +146,9 @@ class Denoiser:
         layers
             Name to ``(height, width, 3)`` radiance, of any sign; not finite counts as 0. The same
             names in every frame: others than in the last frame start a new history.
+        irradiance
+            Names of layers that are without the colour of surfaces, as Blender's diffuse direct
+            light: filtered as they are, where the others are divided by albedo meanwhile.
 
         Returns
         -------
@@ -155,10 +162,10 @@ class Denoiser:
         InputError
             A layer has a wrong shape or type.
         """
-        return self._run(frame, aovs.validated(layers, frame))
+        return self._run(frame, aovs.validated(layers, frame), irradiance)
 
     def _run(
-        self, frame: Frame, layers: Mapping[str, np.ndarray]
+        self, frame: Frame, layers: Mapping[str, np.ndarray], irradiance: Collection[str] = ()
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         self.last_timings = {}
         spec = self.model.spec
@@ -195,7 +202,7 @@ class Denoiser:
             with timed(self.last_timings, "layers"):
                 images, pasts = aovs.filter_layers(
                     layers, frame, prepared, history, outputs, spec, family, self._strips,
-                    temporal=self.temporal,
+                    irradiance=irradiance, temporal=self.temporal,
                 )  # fmt: skip
         output = recall.remember(image) if family.recalls and self.temporal else None
         self._remember(replace(prepared.history, output=output, layers=pasts))

@@ -25,6 +25,7 @@ __all__ = [
     "find_layers",
     "find_lights",
     "gather",
+    "holds_irradiance",
     "parse_overrides",
 ]
 
@@ -176,6 +177,11 @@ def find_lights(
                     found[layer] = channels
                 break
     return found
+
+
+def holds_irradiance(light: str) -> bool:
+    """Whether a renderer gives a layer of light without the colour of the surfaces it falls on."""
+    return _split_prefix(light)[1] in renderer_table().irradiance
 
 
 def find_alone(

@@ -58,7 +58,7 @@ class RendererTable:
     """All rules, in order; by role the components of layers and of files of one buffer.
 
     ``lights`` and ``never`` are patterns of names of layers that are light, and of those that are
-    not for all that.
+    not for all that; ``irradiance`` are names of lights without the colour of surfaces.
     """
 
     rules: tuple[Rule, ...]
@@ -66,6 +66,7 @@ class RendererTable:
     alone: dict[str, tuple[tuple[str, ...], ...]]
     lights: tuple[str, ...]
     never: tuple[str, ...]
+    irradiance: frozenset[str]
 
 
 @lru_cache(maxsize=1)
@@ -93,7 +94,12 @@ def parse_table(text: str) -> RendererTable:
             rules += [_rule(renderer, role, entry, components) for entry in renderer.get(role, ())]
     lights = data["lights"]
     return RendererTable(
-        tuple(rules), components, alone, tuple(lights["layers"]), tuple(lights["never"])
+        tuple(rules),
+        components,
+        alone,
+        lights=tuple(lights["layers"]),
+        never=tuple(lights["never"]),
+        irradiance=frozenset(lights["irradiance"]),
     )
 
 

@@ -188,3 +188,16 @@ def test_command_line_takes_layers_by_name(tmp_path):
     with stillray.Denoiser("fast") as denoiser:
         expected = denoiser.denoise(frame)
     np.testing.assert_array_equal(np.stack([clean[n] for n in names], -1), expected)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_irradiance_gets_no_texture_from_the_albedo(model):
+    # flat light, as a renderer gives it without the colour of surfaces, on a textured wall
+    with stillray.Denoiser(model) as denoiser:
+        for frame in frames(3):
+            flat = np.full_like(frame.color, 0.5)
+            layers = {"lit": flat, "plain": flat}
+            _, layers = denoiser.denoise_layers(frame, layers, irradiance=["lit"])
+    row, column = slice(15, 30), slice(20, 38)  # without the firefly, which is darkened
+    np.testing.assert_allclose(layers["lit"][row, column], 0.5, rtol=0.05)
+    assert np.abs(layers["plain"][row, column] - 0.5).max() > 0.05

@@ -105,6 +105,8 @@ def _run(
     report: Callable[[Step, float], None],
 ) -> list[float]:
     """Denoise every step; milliseconds of those written, without reading and writing."""
+    from stillray.layers import holds_irradiance
+
     milliseconds = []
     before: Path | None = None
     for step in steps:
@@ -116,7 +118,8 @@ def _run(
             denoiser.reset()
         start = time.perf_counter()
         if lights:
-            clean, lights = denoiser.denoise_layers(frame, lights)
+            bare = [name for name in lights if holds_irradiance(name)]
+            clean, lights = denoiser.denoise_layers(frame, lights, irradiance=bare)
         else:
             clean = denoiser.denoise(frame)
         elapsed = 1e3 * (time.perf_counter() - start)
