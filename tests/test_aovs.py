@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from tests.conftest import make_frame
 
 import stillray
 from stillray.cli import main
 from stillray.exr import read_channels, read_exr, write_channels
 from stillray.frame import Frame
+from tests.conftest import make_frame
 
 HEIGHT, WIDTH = 45, 38
 MODELS = ["fast", "balanced"]
@@ -118,9 +118,9 @@ def test_other_layers_than_in_the_last_frame_start_a_new_history():
 @pytest.mark.parametrize("layer", [np.zeros((3, 3, 3)), np.zeros((HEIGHT, WIDTH), np.float32)])
 def test_a_layer_of_another_shape_is_named(layer):
     frame = next(frames(1))
-    with stillray.Denoiser("fast") as denoiser:
-        with pytest.raises(stillray.InputError, match=r"layer spec must have shape \(45, 38, 3\)"):
-            denoiser.denoise_layers(frame, {"spec": layer})
+    words = r"layer spec must have shape \(45, 38, 3\)"
+    with stillray.Denoiser("fast") as denoiser, pytest.raises(stillray.InputError, match=words):
+        denoiser.denoise_layers(frame, {"spec": layer})
 
 
 def write_shot(folder, *, extra=()):
