@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from types import TracebackType
 
 import numpy as np
 
-from stillray import encode, recall, stages
+from stillray import aovs, encode, recall, stages
 from stillray.errors import InputError
 from stillray.families import FAMILIES
 from stillray.frame import Frame
 from stillray.models_spec.loader import ModelSpec
-from stillray.prepare import History, Prepared, prepare
+from stillray.prepare import History, LayerPast, Prepared, prepare
 from stillray.registry import ModelInfo, find_model
 from stillray.scratch import Scratch
 from stillray.session import Network
@@ -125,24 +125,72 @@ class Denoiser:
             Scene-linear radiance: finite, >= 0, and within the range of the accumulated radiance
             of each window, since kernels cannot invent light.
         """
+        return self._run(frame, {})[0]
+
+    def denoise_layers(
+        self,
+        frame: Frame,
+        layers: Mapping[str, np.ndarray],
+        *,
+        irradiance: Collection[str] = (),
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Denoise the next frame, and filter other layers of it exactly as its color.
+
+        Layers that add up to the color, such as diffuse and specular or groups of lights, add up
+        to the denoised color, to float rounding; but not where color was negative and taken for 0.
+
+        Parameters
+        ----------
+        frame
+            The buffers, as for `denoise`.
+        layers
+            Name to ``(height, width, 3)`` radiance, of any sign; not finite counts as 0. The same
+            names in every frame: others than in the last frame start a new history.
+        irradiance
+            Names of layers that are without the colour of surfaces, as Blender's diffuse direct
+            light: filtered as they are, where the others are divided by albedo meanwhile.
+
+        Returns
+        -------
+        image : (height, width, 3) float32
+            As `denoise` gives it.
+        layers
+            By name: ``(height, width, 3)`` float32, finite.
+
+        Raises
+        ------
+        InputError
+            A layer has a wrong shape or type.
+        """
+        return self._run(frame, aovs.validated(layers, frame), irradiance)
+
+    def _run(
+        self, frame: Frame, layers: Mapping[str, np.ndarray], irradiance: Collection[str] = ()
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         self.last_timings = {}
         spec = self.model.spec
         family = FAMILIES[spec.family]
+        history = self._history if self.temporal else None
+        # a layer without a past would not add up with those that have one
+        if history is not None and layers and history.layers.keys() != layers.keys():
+            history = None
+        if history is not None and history.mean.shape[:2] != frame.shape:
+            history = None
         prepared = prepare(
             frame,
             spec,
-            self._history if self.temporal else None,
+            history,
             self._strips,
             self.last_timings,
             temporal=self.temporal,
-            wants_sample=family.renews,
+            wants_sample=family.renews or bool(layers),
             kept=self._kept,
             spare=self._spare,
         )
         previous: np.ndarray | None = None
         if family.recalls and self.temporal:
             previous = recall.recalled(
-                self._history, prepared, self._strips, self.last_timings, self._kept
+                history, prepared, self._strips, self.last_timings, self._kept
             )
         features = self._encode(frame, spec, prepared, previous)
         with timed(self.last_timings, "network"):
@@ -150,11 +198,19 @@ class Denoiser:
         image = family.reconstruct(
             prepared, previous, outputs, spec, self._strips, self.last_timings
         )
+        images: dict[str, np.ndarray] = {}
+        pasts: dict[str, LayerPast] = {}
+        if layers:
+            with timed(self.last_timings, "layers"):
+                images, pasts = aovs.filter_layers(
+                    layers, frame, prepared, history, outputs, spec, family, self._strips,
+                    irradiance=irradiance, temporal=self.temporal,
+                )  # fmt: skip
         output: np.ndarray | None = None
         if family.recalls and self.temporal:
             output = recall.remember(image, self._spare)
-        self._remember(replace(prepared.history, output=output))
-        return image
+        self._remember(replace(prepared.history, output=output, layers=pasts))
+        return image, images
 
     def _remember(self, history: History) -> None:
         # two histories change places, unless somebody may still look at the older

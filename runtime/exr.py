@@ -1,25 +1,42 @@
-"""Reading and writing OpenEXR files: named channels in, named channels out.
+"""Reading and writing OpenEXR files: buffers in, the same file with a clean picture out.
 
-Only OpenImageIO touches EXR here: OpenCV's own reader is switched off in most builds.
+Alpha is never touched: colour is denoised as it is stored, which in EXR is premultiplied, so that
+compositing the result over a background works as with the source.
 """
 
 from __future__ import annotations
 
 import os
-import re
-import tempfile
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from stillray import __version__
+from stillray.atomic import atomic_path
+from stillray.container import Window
 from stillray.errors import InputError
+from stillray.exr_file import Channels, ExrFile
 from stillray.frame import Frame
-from stillray.layers import LayerMatch, find_alone, find_layers, gather
+from stillray.layers import LayerMatch, find_alone, find_layers, find_lights, gather
+from stillray.motion import MotionConvention
+from stillray.openimageio import checked_container, opened, openimageio, reason
+from stillray.rewrite import rewrite
 
-Channels = dict[str, np.ndarray]
+__all__ = [
+    "ExrFile",
+    "atomic_path",
+    "check_layer",
+    "read_channels",
+    "read_exr",
+    "read_lights",
+    "read_metadata",
+    "read_picture",
+    "require_color",
+    "write_channels",
+    "write_exr",
+]
 
 # Attributes that describe the stored pixels, not the picture: OpenImageIO sets them anew.
 _STORAGE_PREFIXES = ("oiio:", "openexr:")
@@ -33,8 +50,15 @@ def read_exr(
     normal: str | os.PathLike[str] | None = None,
     depth: str | os.PathLike[str] | None = None,
     motion: str | os.PathLike[str] | None = None,
+    layers: Mapping[str, str] | None = None,
+    convention: MotionConvention | None = None,
+    before: str | os.PathLike[str] | None = None,
 ) -> Frame:
     """Read one frame, finding its buffers among the channels of any known renderer.
+
+    Only the channels that are needed are decoded. The frame is the data window of the color,
+    which may be larger or smaller than the display window; buffers in parts with another data
+    window are brought to it, 0 where they have no pixels.
 
     Parameters
     ----------
@@ -43,6 +67,13 @@ def read_exr(
     albedo, normal, depth, motion
         Files that hold that buffer instead: under a known name, or as plain R, G, B or X, Y, Z.
         Plain motion (X, Y or R, G) is in pixels, previous minus current position, y down.
+    layers
+        Role to the layer or channels to take for it, as `stillray.layers.parse_overrides` gives.
+    convention
+        What the file's motion means, where its layer alone does not tell: from
+        `stillray.detect.detect_motion`.
+    before
+        The file of the previous frame; needed for motion that is stored there.
 
     Returns
     -------
@@ -53,22 +84,84 @@ def read_exr(
     InputError
         A file cannot be read completely, lacks its buffer, or differs in size.
     """
-    path = Path(path)
-    channels = read_channels(path)
-    matches = require_color(path, find_layers(channels))
-    buffers = {match.role: gather(match, channels) for match in matches if match.used}
+    file = ExrFile.open(path)
     companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
-    for role, companion in companions.items():
-        if companion is None:
-            continue
-        alone = read_channels(companion)
-        buffers[role] = gather(_require_alone(role, Path(companion), alone), alone)
-        size, expected = buffers[role].shape[:2], buffers["color"].shape[:2]
-        if size != expected:
-            raise InputError(
-                f"{companion}: {role} must have the size {expected} of {path}, got {size}"
-            )
+    given = {role: Path(p) for role, p in companions.items() if p is not None}
+    found = require_color(file.path, find_layers(file.channels, layers))
+    matches = [
+        match.proven(convention) if match.role == "motion" and convention else match
+        for match in found
+        if match.role not in given
+    ]
+    matches = [match for match in matches if match.used]
+    late = [m for m in matches if m.convention is not None and m.convention.stored == "before"]
+    names = dict.fromkeys(name for m in matches if m not in late for name in m.channels)
+    window = file.window(next(m for m in matches if m.role == "color").channels[0])
+    planes = file.read(names, window)
+    buffers = {m.role: gather(m, planes) for m in matches if m not in late}
+    if late and before is not None:  # a first frame has no frame before, and needs no motion
+        previous = ExrFile.open(before)
+        _require_channels(previous, late[0].channels)
+        buffers["motion"] = gather(late[0], previous.read(late[0].channels, window))
+    for role, companion in given.items():
+        buffers[role] = _read_alone(role, companion, file, window, layers)
     return Frame(**buffers)
+
+
+def read_picture(
+    path: str | os.PathLike[str], *, layers: Mapping[str, str] | None = None
+) -> np.ndarray:
+    """The color that `write_exr` puts a denoised picture into, ``(h, w, 3)`` float32.
+
+    That is what `read_exr` takes for color, but in files that keep the noisy image beside it.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has no color.
+    """
+    file = ExrFile.open(path)
+    color = require_color(file.path, find_layers(file.channels, layers))[0].writes
+    planes = file.read(color, file.window(color[0]))
+    return np.stack([planes[name] for name in color], axis=-1)
+
+
+def read_lights(
+    path: str | os.PathLike[str],
+    names: Sequence[str] = (),
+    *,
+    layers: Mapping[str, str] | None = None,
+) -> dict[str, np.ndarray]:
+    """Layers of light beside the color, for `Denoiser.denoise_layers`.
+
+    Parameters
+    ----------
+    path
+        An OpenEXR file.
+    names
+        Which layers, as they are called in the file; all that are known to be light if empty.
+    layers
+        As for `read_exr`.
+
+    Returns
+    -------
+    dict of str to (h, w, 3) float32
+        By name, in the data window of the color.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has no such layer.
+    """
+    file = ExrFile.open(path)
+    color = require_color(file.path, find_layers(file.channels, layers))[0]
+    channels = _lights(file, names, layers)
+    wanted = dict.fromkeys(name for listed in channels.values() for name in listed)
+    planes = file.read(wanted, file.window(color.channels[0]))
+    return {
+        name: np.stack([planes[channel] for channel in listed], axis=-1)
+        for name, listed in channels.items()
+    }
 
 
 def require_color(path: Path, matches: list[LayerMatch]) -> list[LayerMatch]:
@@ -80,15 +173,15 @@ def require_color(path: Path, matches: list[LayerMatch]) -> list[LayerMatch]:
     return matches
 
 
-def check_layer(path: str | os.PathLike[str], role: str) -> None:
+def check_layer(
+    path: str | os.PathLike[str], role: str, layers: Mapping[str, str] | None = None
+) -> None:
     """Raise `InputError` where a file's header holds no buffer of that role; reads no pixels."""
-    path = Path(path)
-    with _opened(path) as source:
-        names = [key for _, keys in _parts(path, source) for key in keys]
+    file = ExrFile.open(path, headers_only=True)
     if role == "color":
-        require_color(path, find_layers(names))
+        require_color(file.path, find_layers(file.channels, layers))
     else:
-        _require_alone(role, path, names)
+        _require_alone(role, file.path, file.channels, layers)
 
 
 def read_channels(path: str | os.PathLike[str]) -> Channels:
@@ -97,8 +190,7 @@ def read_channels(path: str | os.PathLike[str]) -> Channels:
     Parameters
     ----------
     path
-        An OpenEXR file. Where a part has a name and its channels carry no layer,
-        ``part.channel`` is the key; in the first part only if that is a known layer.
+        An OpenEXR file; names are as `ExrFile` has them.
 
     Returns
     -------
@@ -110,29 +202,18 @@ def read_channels(path: str | os.PathLike[str]) -> Channels:
     InputError
         The file is missing, not readable, truncated, or its parts differ in size.
     """
-    oiio = _openimageio()
-    path = Path(path)
-    channels: Channels = {}
-    with _opened(path) as source:
-        for part, keys in _parts(path, source):
-            spec = source.spec()
-            if spec.deep:
-                raise InputError(f"{path}: must hold flat pixels, part {part} is deep")
-            pixels = source.read_image(part, 0, 0, spec.nchannels, oiio.FLOAT)
-            if pixels is None:
-                raise InputError(f"{path}: cannot read the pixels: {_reason(source.geterror())}")
-            pixels = np.asarray(pixels).reshape(spec.height, spec.width, spec.nchannels)
-            for index, key in enumerate(keys):
-                channels.setdefault(key, np.ascontiguousarray(pixels[..., index]))
+    file = ExrFile.open(path)
+    channels = {n: np.ascontiguousarray(p) for n, p in file.read(file.channels).items()}
     sizes = {plane.shape for plane in channels.values()}
     if len(sizes) != 1:
         raise InputError(f"{path}: all parts must have one size, got {sorted(sizes)}")
-    return channels
+    return {name: channels[name] for name in file.channels}
 
 
 def read_metadata(path: str | os.PathLike[str]) -> Any:
     """The OpenImageIO ``ImageSpec`` of the first part of a file: windows and attributes."""
-    with _opened(Path(path)) as source:
+    checked_container(Path(path))
+    with opened(Path(path)) as source:
         return source.spec()
 
 
@@ -141,30 +222,70 @@ def write_exr(
     image: np.ndarray,
     *,
     like: str | os.PathLike[str] | None = None,
-) -> None:
-    """Write a picture as R, G, B in half precision, complete or not at all.
+    layers: Mapping[str, str] | None = None,
+    only_color: bool = False,
+    lights: Mapping[str, np.ndarray] | None = None,
+    attributes: Mapping[str, str] | None = None,
+) -> int:
+    """Write a denoised picture, complete or not at all.
+
+    With a source to be ``like``, the result has its structure: the same parts, channels, types,
+    compression, tiles, windows and attributes, with the picture in place of the color. All other
+    parts are copied byte by byte, and so are all attributes. Other channels of the color's own
+    part keep their exact values, unless the part's compression is itself lossy (dwaa, dwab, b44,
+    b44a and, for 32-bit floats, pxr24) and takes its loss once more.
 
     Parameters
     ----------
     path
         Where to write; what is there already stays intact until the new file is complete.
     image : (h, w, 3) float
-        Scene-linear radiance; beyond 65504 it is clamped to what half precision can hold.
+        Scene-linear radiance, premultiplied if the source's color was.
     like
-        A source file whose metadata are kept, and its data and display windows where the
-        picture has its size.
+        The source file. Where the picture has not its size, only metadata are kept.
+    layers
+        As it was read with, see `read_exr`.
+    only_color
+        Write R, G, B in half precision and nothing else of the source but its metadata and,
+        where the picture has its size, its windows.
+    lights
+        Filtered layers by name, from `read_lights`, which replace those of the source; not with
+        ``only_color``.
+    attributes
+        Further attributes, such as where the picture comes from: ``{"stillray:model": "kpyr-5"}``.
+        ``stillray:version`` is always written.
+
+    Returns
+    -------
+    int
+        How many values were beyond what half precision holds (65504) and were clamped to it.
 
     Raises
     ------
     InputError
-        The picture has a wrong shape or type, or the file cannot be written.
+        The picture has a wrong shape or type, or the file cannot be read or written.
     """
     image = np.asarray(image)
+    path = Path(path)
     if image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
         raise InputError(f"image must have shape (height, width, 3), got {image.shape}")
     if image.dtype.kind != "f":
         raise InputError(f"image must be floating point, got {image.dtype}")
-    write_channels(path, {name: image[..., i] for i, name in enumerate("RGB")}, like=like)
+    tags = {"stillray:version": __version__, **(attributes or {})}
+    if like is not None and not only_color:
+        source = ExrFile.open(like)
+        color = [m for m in find_layers(source.channels, layers) if m.role == "color"]
+        if color and _same_size(source.window(color[0].writes[0]), image):
+            replaced = {
+                source.channels[name]: image[..., i] for i, name in enumerate(color[0].writes)
+            }
+            if lights:
+                replaced |= _replaced_lights(source, color[0], lights, layers)
+            with atomic_path(path) as temporary:
+                return rewrite(source.path, source.container, temporary, replaced, tags)
+    return write_channels(
+        path, {name: image[..., i] for i, name in enumerate("RGB")}, like=like, attributes=tags
+    )
 
 
 def write_channels(
@@ -175,7 +296,7 @@ def write_channels(
     like: str | os.PathLike[str] | None = None,
     attributes: Mapping[str, Any] | None = None,
     compression: str = "zip",
-) -> None:
+) -> int:
     """Write one single-part EXR file, complete or not at all.
 
     Parameters
@@ -194,12 +315,17 @@ def write_channels(
     compression
         An OpenEXR compression name, ``"zip"`` (lossless) unless told otherwise.
 
+    Returns
+    -------
+    int
+        How many values were clamped to the half range.
+
     Raises
     ------
     InputError
         The folder does not exist or cannot be written.
     """
-    oiio = _openimageio()
+    oiio = openimageio()
     path = Path(path)
     height, width = next(iter(channels.values())).shape
     formats = formats or {}
@@ -223,6 +349,8 @@ def write_channels(
     for name, value in (attributes or {}).items():
         spec.attribute(name, value)
     half = np.finfo(np.float16)
+    halves = [plane for plane, kind in zip(channels.values(), kinds, strict=True) if kind == "half"]
+    clamped = sum(int(np.count_nonzero(np.abs(plane) > half.max)) for plane in halves)
     planes = [
         np.clip(plane, half.min, half.max) if kind == "half" else plane
         for plane, kind in zip(channels.values(), kinds, strict=True)
@@ -231,93 +359,81 @@ def write_channels(
     with atomic_path(path) as temporary:
         sink = oiio.ImageOutput.create("exr")
         if not sink.open(str(temporary), spec):
-            raise InputError(f"{path}: cannot be written: {_reason(sink.geterror())}")
+            raise InputError(f"{path}: cannot be written: {reason(sink.geterror())}")
         written = sink.write_image(pixels)
         message = sink.geterror()
         if not sink.close() or not written:
-            raise InputError(f"{path}: cannot be written: {_reason(message)}")
+            raise InputError(f"{path}: cannot be written: {reason(message)}")
+    return clamped
 
 
-@contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary name beside ``path``, moved into place when the block ends without error."""
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-        os.close(handle)
-    except OSError as error:
-        raise InputError(
-            f"{path}: the folder must exist and be writable: {error.strerror}"
-        ) from error
-    temporary = Path(name)
-    try:
-        yield temporary
-        # mkstemp makes files private; a result is as readable as any new file
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        temporary.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _require_alone(role: str, path: Path, names: Iterable[str]) -> LayerMatch:
+def _require_alone(
+    role: str, path: Path, names: Iterable[str], layers: Mapping[str, str] | None
+) -> LayerMatch:
     names = list(names)
-    match = find_alone(role, names)
+    match = find_alone(role, names, layers)
     if match is None:
         raise InputError(f"{path}: must hold {role} channels, got {', '.join(names)}")
     return match
 
 
-def _parts(path: Path, source: Any) -> Iterator[tuple[int, list[str]]]:
-    """Part number and channel keys of each part; the source stands at that part meanwhile."""
-    part = 0
-    while source.seek_subimage(part, 0):
-        spec = source.spec()
-        name = str(spec.getattribute("name") or "")
-        keys = [f"{name}.{c}" if name and "." not in c else c for c in spec.channelnames]
-        # the first part is often the beauty under a name of its own: then R, G, B say more
-        yield part, keys if part or find_layers(keys) else list(spec.channelnames)
-        part += 1
-    if message := source.geterror():  # empty where the parts have simply come to their end
-        raise InputError(f"{path}: cannot read part {part}: {_reason(message)}")
+def _lights(
+    file: ExrFile, names: Sequence[str], layers: Mapping[str, str] | None
+) -> dict[str, tuple[str, ...]]:
+    """Channels of the layers of those names; of all layers of light if there are no names."""
+    known = find_lights(file.channels, layers)
+    if not names:
+        return known
+    found = {}
+    for name in names:
+        if name not in known:
+            # named by a user, it need not be known to be light
+            known[name] = find_layers(file.channels, {"color": name})[0].channels
+        found[name] = known[name]
+    return found
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """An open EXR file; what goes wrong with it inside the block becomes an `InputError`."""
-    oiio = _openimageio()
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, not an EXR file")
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    if path.stat().st_size == 0:
-        raise InputError(f"{path}: not a readable EXR file: it is empty")
-    source = None
-    try:
-        source = oiio.ImageInput.open(str(path))
-        if source is None:
-            raise InputError(f"{path}: not a readable EXR file: {_reason(oiio.geterror())}")
-        if source.format_name() != "openexr":
-            raise InputError(f"{path}: must be an EXR file, its content is {source.format_name()}")
-        yield source
-    except MemoryError:
-        raise InputError(f"{path}: does not fit into memory") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a readable EXR file: its names are not UTF-8") from None
-    finally:
-        if source is not None:
-            source.close()
+def _replaced_lights(
+    file: ExrFile,
+    color: LayerMatch,
+    lights: Mapping[str, np.ndarray],
+    layers: Mapping[str, str] | None,
+) -> dict[tuple[int, str], np.ndarray]:
+    """Part and channel to plane, of filtered layers."""
+    replaced = {}
+    for name, channels in _lights(file, tuple(lights), layers).items():
+        if file.window(channels[0]) != file.window(color.writes[0]):
+            raise InputError(f"{file.path}: {name} must have the data window of the color")
+        for i, channel in enumerate(channels):
+            replaced[file.channels[channel]] = lights[name][..., i]
+    return replaced
 
 
-def _reason(message: str) -> str:
-    # one line, without the path that our own message begins with
-    return re.sub(r"^EXR Error \(.*?\): ", "", " ".join(message.split())) or "unknown reason"
+def _require_channels(file: ExrFile, names: Iterable[str]) -> None:
+    missing = [name for name in names if name not in file.channels]
+    if missing:
+        raise InputError(f"{file.path}: must hold the motion channels {', '.join(missing)}")
 
 
-def _openimageio() -> Any:
-    # Imported on use: `import stillray` stays quick for those who bring arrays.
-    import OpenImageIO
+def _read_alone(
+    role: str,
+    path: Path,
+    beside: ExrFile,
+    window: Window,
+    layers: Mapping[str, str] | None,
+) -> np.ndarray:
+    """A buffer from a file of its own, in the data window of the color that it goes with."""
+    file = ExrFile.open(path)
+    match = _require_alone(role, path, file.channels, layers)
+    own = file.window(match.channels[0])
+    same_picture = file.container.parts[0].display == beside.container.parts[0].display
+    if not same_picture and (own.width, own.height) != (window.width, window.height):
+        raise InputError(
+            f"{path}: {role} must have the size {(window.height, window.width)} of {beside.path}, "
+            f"got {(own.height, own.width)}"
+        )
+    return gather(match, file.read(match.channels, window if same_picture else None))
 
-    return OpenImageIO
+
+def _same_size(window: Window, image: np.ndarray) -> bool:
+    return (window.height, window.width) == image.shape[:2]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -20,6 +21,22 @@ from stillray.timing import timed, timed_pass
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class LayerPast:
+    """What is remembered of a layer that is filtered as the beauty is, see `stillray.aovs`.
+
+    Attributes
+    ----------
+    mean : (h, w, 4) float32
+        As the beauty's; the samples are the same.
+    output : (h, w, 4) float32 or None
+        As the beauty's.
+    """
+
+    mean: np.ndarray
+    output: np.ndarray | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class History:
     """What is remembered of the past: a value that can be kept, dropped or copied.
 
@@ -33,12 +50,15 @@ class History:
         1 / irradiance, steadied over the sequence.
     output : (h, w, 4) float32 or None
         The last output, see `stillray.recall.remember`; None for models that take none.
+    layers
+        By name, the past of layers that are filtered as the beauty is.
     """
 
     mean: np.ndarray
     guides: np.ndarray | None
     exposure: float
     output: np.ndarray | None = None
+    layers: Mapping[str, LayerPast] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -90,7 +90,7 @@ def repair_radiance(color: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     cleaned = np.clip(np.where(valid[..., None], color, 0), 0, MAX_RADIANCE).astype(np.float32)
     if valid.all():
         return cleaned, None
-    return _fill(cleaned, valid), ~valid
+    return fill(cleaned, valid), ~valid
 
 
 def repair_feature(feature: np.ndarray, low: float, high: float) -> np.ndarray:
@@ -124,8 +124,19 @@ def within(array: np.ndarray, low: float, high: float) -> bool:
     return bool(array.min() >= low and array.max() <= high)
 
 
-def _fill(color: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Mean of the valid pixels in the smallest window of 3, 5, 9, ... pixels that has any."""
+def fill(color: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Mean of the valid pixels in the smallest window of 3, 5, 9, ... pixels that has any.
+
+    Parameters
+    ----------
+    color : (h, w, 3) float32
+        0 where it is not valid. Not changed.
+    valid : (h, w) bool
+
+    Returns
+    -------
+    (h, w, 3) float32
+    """
     result = color.copy()
     missing = ~valid
     weight = valid.astype(np.float32)

@@ -252,7 +252,7 @@ def test_write_exr_keeps_windows_and_metadata_of_the_source(tmp_path, source):
     assert spec.getattribute("nameOfShot") == "tr_0140"
     assert spec.getattribute("PixelAspectRatio") == 2.0
     assert spec.getattribute("worldToCamera") == tuple(float(i) for i in range(16))
-    assert spec.getattribute("compression") == "zip"
+    assert spec.getattribute("compression") == "piz"
 
 
 def test_write_exr_of_another_size_keeps_metadata_without_windows(tmp_path, source):
@@ -311,9 +311,39 @@ def test_write_exr_when_the_disk_is_full_keeps_the_old_file(tmp_path):
     assert leftovers(tmp_path) == []
 
 
-def test_write_exr_like_a_multi_part_source_is_one_whole_part(tmp_path):
+def test_write_exr_only_color_of_a_multi_part_source_is_one_whole_part(tmp_path):
     write_parts(tmp_path / "s.exr", [("VL.beauty", planes(*"RGB")), ("VL.depth", planes("Z"))])
     image = np.stack(list(planes(*"RGB", seed=3).values()), axis=-1)
-    write_exr(tmp_path / "o.exr", image, like=tmp_path / "s.exr")
-    assert list(read_channels(tmp_path / "o.exr")) == ["R", "G", "B"]
+    write_exr(tmp_path / "o.exr", image, like=tmp_path / "s.exr", only_color=True)
+    assert set(read_channels(tmp_path / "o.exr")) == {"R", "G", "B"}
     assert read_metadata(tmp_path / "o.exr").getattribute("name") is None
+
+
+def test_read_exr_brings_a_cropped_part_to_the_window_of_the_color(tmp_path):
+    # Redshift crops each part to what is not black
+    rng = np.random.default_rng(3)
+    specs, images = [], []
+    for name, channels, x, y, width, height in [
+        ("beauty", "RGB", -3, 2, 12, 9), ("depth", "Z", 1, 4, 30, 3), ("far", "Q", 90, 90, 4, 4),
+    ]:  # fmt: skip
+        spec = oiio.ImageSpec(width, height, len(channels), "half")
+        spec.channelnames = tuple(channels)
+        spec.x, spec.y, spec.full_width, spec.full_height = x, y, 100, 100
+        spec.attribute("name", name)
+        specs.append(spec)
+        images.append(rng.integers(1, 99, (height, width, len(channels))).astype(np.float32))
+    sink = oiio.ImageOutput.create("exr")
+    assert sink.open(str(tmp_path / "f.exr"), specs)
+    for index, image in enumerate(images):
+        assert index == 0 or sink.open(str(tmp_path / "f.exr"), specs[index], "AppendSubimage")
+        assert sink.write_image(image)
+    assert sink.close()
+    frame = read_exr(tmp_path / "f.exr")
+    expected = np.zeros((9, 12))
+    for row in range(9):
+        for column in range(12):
+            y, x = row + 2 - 4, column - 3 - 1  # from the color's window to the depth's
+            if 0 <= y < 3 and 0 <= x < 30:
+                expected[row, column] = images[1][y, x, 0]
+    np.testing.assert_array_equal(frame.depth, expected)
+    np.testing.assert_array_equal(frame.color, images[0])

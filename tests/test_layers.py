@@ -1,9 +1,13 @@
 """Channel names of each renderer lead to the right buffers, with the right signs."""
 
+from importlib import resources
+
 import numpy as np
 import pytest
 
-from stillray.layers import find_alone, find_layers, gather
+from stillray.errors import InputError
+from stillray.layers import find_alone, find_layers, find_lights, gather, parse_overrides
+from stillray.renderers import parse_table
 
 
 def roles(names):
@@ -144,3 +148,108 @@ def test_a_file_of_one_buffer_may_use_plain_names(role, names, expected):
 
 def test_a_file_of_one_buffer_never_yields_unverified_motion():
     assert find_alone("motion", layer("motionvector", "XY")) is None
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (
+            [*"RGB", *layer("diffuse", ["red", "green", "blue"]), *layer("bump_normals", "XYZ"),
+             "Z", *layer("velocity", "XYZ")],
+            {"color": "R", "albedo": "diffuse.red", "normal": "bump_normals.X", "depth": "Z",
+             "motion": "velocity.X"},
+        ),
+        (
+            [*"RGBA", *layer("DiffuseFilter", "RGB"), *layer("N", "RGB"), "Z",
+             *layer("MotionVectors", "RG"), *layer("Cryptomatte00", "RGBA")],
+            {"color": "R", "albedo": "DiffuseFilter.R", "normal": "N.R", "depth": "Z",
+             "motion": "MotionVectors.R"},
+        ),
+        (
+            [*layer("Beauty", "RGBA"), *layer("Denoise Albedo", "RGB"),
+             *layer("denoise_normal", "RGB"), *layer("Z-Depth", "RGB"),
+             *layer("Motion vector", "RGB")],
+            {"color": "Beauty.R", "albedo": "Denoise Albedo.R", "normal": "denoise_normal.R",
+             "depth": "Z-Depth.R", "motion": "Motion vector.R"},
+        ),
+        (
+            [*layer("diffuse", "RGB"), *"RGB", *layer("specular", "RGB")],  # Arnold's is light
+            {"color": "R"},
+        ),
+    ],
+    ids=["v-ray", "redshift", "octane", "arnold-lights"],
+)  # fmt: skip
+def test_names_of_more_renderers_are_known(names, expected):
+    found = roles(names)
+    assert {role: match.channels[0] for role, match in found.items()} == expected
+
+
+def test_exact_spelling_comes_before_a_loose_one():
+    names = [*"RGB", *layer("Denoise_Albedo", "RGB"), *layer("denoise_albedo", "RGB")]
+    assert roles(names)["albedo"].channels[0] == "denoise_albedo.R"
+
+
+def test_chosen_layers_come_before_all_that_is_found():
+    names = [*"RGB", *layer("albedo", "RGB"), *layer("flat", "rgb"), "dist", *layer("vel", "RG")]
+    chosen = parse_overrides(["albedo=flat", "depth=dist", "motion=vel.R,-vel.G", "color=none"])
+    found = {match.role: match for match in find_layers(names, chosen)}
+    assert found["albedo"].channels == ("flat.r", "flat.g", "flat.b")
+    assert found["depth"].channels == ("dist",)
+    assert found["motion"].signs == (1.0, -1.0)
+    assert found["motion"].used
+    assert "color" not in found
+
+
+def test_motion_chosen_by_an_unknown_layer_waits_for_proof():
+    chosen = {"motion": "vel"}
+    match = {m.role: m for m in find_layers([*"RGB", *layer("vel", "RG")], chosen)}["motion"]
+    assert not match.used
+    assert match.channels == ("vel.R", "vel.G")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("albedo", "ROLE=NAME"),
+        ("colour=RGB", "role of color, albedo"),
+        ("albedo=", "ROLE=NAME"),
+        ("albedo=gone", "albedo=gone: must name a layer"),
+        ("normal=-N.X,N.Y,N.Z", "without a minus"),
+        ("motion=N.X", "2 of its channels"),
+    ],
+)
+def test_a_wrong_choice_is_refused_with_what_there_is(text, words):
+    with pytest.raises(InputError, match=words):
+        find_layers([*"RGB", *layer("N", "XYZ")], parse_overrides([text]))
+
+
+def test_a_role_chosen_twice_is_refused():
+    with pytest.raises(InputError, match="albedo once"):
+        parse_overrides(["albedo=a", "albedo=b"])
+
+
+def test_layers_of_light_are_told_from_data():
+    data = [*layer("albedo", "RGB"), *layer("N", "XYZ"), *layer("crypto_object00", "RGBA"),
+            *layer("diffuse_albedo", "RGB"), *layer("specular_variance", "RGB"),
+            *layer("P", "RGB"), "diffuse_depth.Z"]  # fmt: skip
+    lights = [
+        *layer("diffuse", "RGB"),
+        *layer("specular_direct", "RGB"),
+        *layer("RGBA_key", "RGBA"),
+    ]
+    found = find_lights([*layer("RGBA", "RGBA"), *data, *lights])
+    assert list(found) == ["diffuse", "specular_direct", "RGBA_key"]
+    assert found["RGBA_key"] == ("RGBA_key.R", "RGBA_key.G", "RGBA_key.B")
+
+
+def test_layers_of_light_come_from_the_view_layer_of_the_color():
+    names = [*blender("Front"), *layer("Front.Diffuse Direct", "RGB")]
+    names += [*layer("Front.Diffuse Color", "RGB"), *layer("Back.Diffuse Direct", "RGB")]
+    assert list(find_lights(names)) == ["Front.Diffuse Direct"]
+
+
+def test_the_table_refuses_keys_that_mean_nothing():
+    text = (resources.files("stillray") / "renderers.toml").read_text(encoding="utf-8")
+    assert len(parse_table(text).rules) > 40
+    with pytest.raises(ValueError, match="albeddo"):
+        parse_table(text + '\n[[renderer]]\nname = "x"\nalbeddo = ["a"]\n')

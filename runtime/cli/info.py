@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -10,34 +11,45 @@ import typer
 if TYPE_CHECKING:
     import numpy as np
 
+    from stillray.detect import Detection
+    from stillray.layers import LayerMatch
+
 
 def info(
     file: Annotated[str, typer.Argument(help="An EXR file, or a sequence: its first frame.")],
     model: Annotated[
         str, typer.Option("--model", "-m", help="Quality, model name or .onnx file.")
     ] = "balanced",
+    layer: Annotated[
+        list[str] | None,
+        typer.Option("--layer", help="ROLE=NAME: take this layer, or channels, for a role."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Show the channels found, their roles, and the stages that will run."""
-    facts = _collect(file, model)
+    facts = _collect(file, model, layer or [])
     if as_json:
         print(json.dumps(facts, indent=2))
     else:
         _print_facts(facts)
 
 
-def _collect(file: str, model: str) -> dict[str, Any]:
+def _collect(file: str, model: str, layer: list[str]) -> dict[str, Any]:
     from stillray.denoiser import Denoiser
-    from stillray.exr import read_channels, read_metadata, require_color
-    from stillray.frame import Frame
-    from stillray.layers import find_layers, gather
+    from stillray.detect import detect_in_sequence
+    from stillray.exr import ExrFile, read_exr, require_color
+    from stillray.layers import find_layers, parse_overrides
     from stillray.sequence import expand
 
-    path = expand(file)[0].path
-    channels = read_channels(path)
-    matches = require_color(path, find_layers(channels))
-    spec = read_metadata(path)
-    frame = Frame(**{match.role: gather(match, channels) for match in matches if match.used})
+    paths = [numbered.path for numbered in expand(file)]
+    path, chosen = paths[0], parse_overrides(layer)
+    opened = ExrFile.open(path)
+    matches = require_color(path, find_layers(opened.channels, chosen))
+    detection = detect_in_sequence(paths, layers=chosen)
+    if detection is not None and len(paths) > 1:
+        matches = [_with_proof(match, detection) for match in matches]
+    frame = read_exr(path, layers=chosen, convention=detection.convention if detection else None)
+    part = opened.container.parts[opened.channels[matches[0].channels[0]][0]]
     with Denoiser(model) as denoiser:
         stages, model_name = denoiser.stages(frame), denoiser.model.name
     height, width = frame.shape
@@ -45,9 +57,18 @@ def _collect(file: str, model: str) -> dict[str, Any]:
         "file": str(path),
         "height": height,
         "width": width,
-        "data_window": [spec.x, spec.y, spec.width, spec.height],
-        "display_window": [spec.full_x, spec.full_y, spec.full_width, spec.full_height],
-        "channels": list(channels),
+        "data_window": list(part.data),
+        "display_window": list(part.display),
+        "parts": [
+            {
+                "name": part.name,
+                "compression": part.compression,
+                "tile": list(part.tile) if part.tile else None,
+                "channels": {channel.name: channel.kind for channel in part.channels},
+            }
+            for part in opened.container.parts
+        ],
+        "channels": list(opened.channels),
         "layers": [
             {
                 "role": match.role,
@@ -66,6 +87,14 @@ def _collect(file: str, model: str) -> dict[str, Any]:
             {"name": stage.name, "runs": stage.runs, "reason": stage.reason} for stage in stages
         ],
     }
+
+
+def _with_proof(match: LayerMatch, detection: Detection) -> LayerMatch:
+    if match.role != "motion":
+        return match
+    if detection.convention is None:
+        return replace(match, note=f"not proven, not used: {detection.reason}")
+    return replace(match.proven(detection.convention), note=f"proven: {detection.reason}")
 
 
 def _count_pixels(color: np.ndarray) -> dict[str, int]:
@@ -87,6 +116,17 @@ def _warnings(normal: np.ndarray | None) -> list[str]:
     return ["normal has no negative component: it may be encoded as 0..1, which is not decoded"]
 
 
+def _describe(parts: list[dict[str, Any]]) -> str:
+    def several(key: str) -> str:
+        return ", ".join(dict.fromkeys(str(part[key]) for part in parts))
+
+    kinds = dict.fromkeys(kind for part in parts for kind in part["channels"].values())
+    count = "1 part" if len(parts) == 1 else f"{len(parts)} parts"
+    tiles = [f"{part['tile'][0]} x {part['tile'][1]}" for part in parts if part["tile"]]
+    stored = f"tiles of {tiles[0]}" if tiles else "scan lines"
+    return f"{count} of {stored}, {', '.join(kinds)}, compression {several('compression')}"
+
+
 def _print_facts(facts: dict[str, Any]) -> None:
     from rich.table import Table
 
@@ -95,6 +135,7 @@ def _print_facts(facts: dict[str, Any]) -> None:
     out = console()
     pixels = facts["color_pixels"]
     out.print(f"{facts['file']}: {facts['width']} x {facts['height']} pixels")
+    out.print(_describe(facts["parts"]))
     for name in ("data_window", "display_window"):
         x, y, width, height = facts[name]
         out.print(f"{name.replace('_', ' ')}: {width} x {height} at ({x}, {y})")

@@ -43,7 +43,12 @@ class Step:
     starts_anew: bool
 
 
-def plan_jobs(source: str, output: str, companions: Mapping[str, str]) -> list[Job]:
+def plan_jobs(
+    source: str,
+    output: str,
+    companions: Mapping[str, str],
+    chosen: Mapping[str, str] | None = None,
+) -> list[Job]:
     """The frames to denoise, in order; everything but the pixels is checked.
 
     Raises
@@ -67,10 +72,10 @@ def plan_jobs(source: str, output: str, companions: Mapping[str, str]) -> list[J
     )
     _require_writable(outputs[0])
     for frame in frames:
-        check_layer(frame.path, "color")
+        check_layer(frame.path, "color", chosen)
     for role, paths in features.items():
         for path in paths:
-            check_layer(path, role)
+            check_layer(path, role, chosen)
     return [
         Job(
             number=frame.number,
@@ -84,13 +89,13 @@ def plan_jobs(source: str, output: str, companions: Mapping[str, str]) -> list[J
 
 def finished(job: Job) -> bool:
     """Whether the output is newer than all inputs and reads back completely."""
-    from stillray.exr import read_channels
+    from stillray.exr import read_picture
 
     try:
         written = job.output.stat().st_mtime_ns
         if any(p.stat().st_mtime_ns >= written for p in (job.source, *job.companions.values())):
             return False
-        return {"R", "G", "B"} <= set(read_channels(job.output))
+        return read_picture(job.output).size > 0
     except (OSError, InputError):
         return False
 
