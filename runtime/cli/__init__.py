@@ -11,6 +11,7 @@ import typer
 
 from stillray.cli.compare import compare
 from stillray.cli.denoise import denoise
+from stillray.cli.familiar import spell_out
 from stillray.cli.info import info
 from stillray.cli.models import models
 from stillray.cli.program import BAD_INPUT, DONE, FAILED, complain
@@ -22,7 +23,6 @@ def build_app() -> typer.Typer:
     app = typer.Typer(
         name="stillray",
         help="Denoise Monte Carlo renders of one to a few samples per pixel.",
-        add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
     )
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit code: 0 done, 1 failed, 2 bad usage or input.
     """
     command = typer.main.get_command(build_app())
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    given = spell_out(sys.argv[1:] if arguments is None else arguments)
     try:
         code = command.main(args=given or ["--help"], prog_name="stillray", standalone_mode=False)
         sys.stdout.flush()  # a closed pipe shows here, not on the interpreter's way out
