@@ -1,5 +1,6 @@
 """Reading ahead and writing behind: order, bounds, and errors once and in order."""
 
+import contextlib
 import threading
 
 import pytest
@@ -82,10 +83,8 @@ def test_of_two_failures_that_of_the_earlier_item_is_raised():
 def test_no_thread_is_left_behind():
     before = threading.active_count()
     for bench in (Bench(), Bench(read=2), Bench(write=2)):
-        try:
+        with contextlib.suppress(ValueError):
             bench.run()
-        except ValueError:
-            pass
     assert threading.active_count() == before
 
 
