@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -78,6 +79,21 @@ def finished(jobs: Sequence[Job], recipe: Recipe, *, memory: int) -> list[bool]:
             return output is not None and is_finished(output, digest)
 
         return list(pool.map(check, range(len(jobs))))
+
+
+def remove_leftovers(jobs: Sequence[Job]) -> None:
+    """Delete what runs that were killed have left of the outputs of these frames.
+
+    Another run that writes the same frames at this moment would fail for it.
+    """
+    outputs = {job.output for job in jobs if job.output is not None}
+    for folder in {output.parent for output in outputs}:
+        names = {output.name for output in outputs if output.parent == folder}
+        for path in folder.glob(".*.part"):
+            # as `stillray.exr.atomic_path` names them: .NAME.RANDOM.part
+            if path.name[1:].rsplit(".", 2)[0] in names:
+                with suppress(OSError):  # of somebody else's, or gone already
+                    path.unlink()
 
 
 def run_steps(

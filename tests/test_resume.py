@@ -98,7 +98,9 @@ def test_changed_option_renders_all_anew(shot, capsys, change):
 
 def test_options_that_change_no_pixel_render_nothing(shot, capsys):
     run(capsys, *COMMAND)
-    assert written(run(capsys, *COMMAND, "--threads", "2", "--on-missing", "skip", "--resume")) == []
+    assert (
+        written(run(capsys, *COMMAND, "--threads", "2", "--on-missing", "skip", "--resume")) == []
+    )
 
 
 def test_foreign_and_broken_outputs_are_replaced(shot, capsys):
@@ -132,7 +134,7 @@ def test_shot_in_parts_with_warm_up_is_near_the_whole(shot, capsys, command):
     def apart(some):
         return np.abs(some["clean.06.exr"] - whole["clean.06.exr"]).mean()
 
-    assert 0 < apart(warm) < 0.5 * apart(cold)
+    assert 0 < apart(warm) < 0.7 * apart(cold)
 
 
 def test_parts_know_each_others_frames_where_their_memory_is_the_same(shot, capsys):
@@ -195,8 +197,12 @@ def test_killed_runs_resume_to_the_same_shot_and_leave_nothing(shot, capsys):
         process.wait()
         for path in shot.glob("clean.*.exr"):  # whole, or not there
             np.testing.assert_array_equal(read_exr(path).color, whole[path.name])
+    # what was cut short at the wrong moment, and a file that only looks alike
+    (shot / ".clean.04.exr.abc12_x.part").touch()
+    (shot / ".unclean.04.exr.abc12_x.part").touch()
     run(capsys, *RECALLING, "--resume")
     assert_same(pictures(shot), whole)
+    (shot / ".unclean.04.exr.abc12_x.part").unlink()
     names = {path.name for path in shot.iterdir()}
     assert names == {f"{kind}.{n:02d}.exr" for kind in ("shot", "clean") for n in range(1, 11)}
 

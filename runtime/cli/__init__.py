@@ -17,6 +17,8 @@ from stillray.cli.models import models
 from stillray.cli.program import BAD_INPUT, DONE, FAILED, complain
 from stillray.errors import InputError
 
+_INTERRUPTED = 130  # what newer versions of typer make of Ctrl-C, where others raise Abort
+
 
 def build_app() -> typer.Typer:
     """The command-line application with all its subcommands."""
@@ -63,6 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         traceback.print_exc()
         return complain(f"unexpected {type(error).__name__}: {error}", FAILED)
+    if code == _INTERRUPTED:
+        return complain("interrupted", FAILED)
     return code if isinstance(code, int) else DONE
 
 

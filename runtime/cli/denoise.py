@@ -160,8 +160,9 @@ def denoise(
         dry_run.show(facts, as_json=as_json)
         return
     from stillray.denoiser import Denoiser
-    from stillray.runner import run_steps
+    from stillray.runner import remove_leftovers, run_steps
 
+    remove_leftovers(jobs)
     kind = "json" if as_json else "quiet" if quiet else "text"
     ran: list[Done] = []
     with reports.report_to(kind, steps, verbose=verbose) as report:
