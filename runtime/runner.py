@@ -86,12 +86,12 @@ def remove_leftovers(jobs: Sequence[Job]) -> None:
 
     Another run that writes the same frames at this moment would fail for it.
     """
-    outputs = {job.output for job in jobs if job.output is not None}
+    outputs = [job.output for job in jobs if job.output is not None]
     for folder in {output.parent for output in outputs}:
-        names = {output.name for output in outputs if output.parent == folder}
+        # as `stillray.exr.atomic_path` names them: .NAME.RANDOM.part
+        prefixes = tuple(f".{output.name}." for output in outputs if output.parent == folder)
         for path in folder.glob(".*.part"):
-            # as `stillray.exr.atomic_path` names them: .NAME.RANDOM.part
-            if path.name[1:].rsplit(".", 2)[0] in names:
+            if path.name.startswith(prefixes):
                 with suppress(OSError):  # of somebody else's, or gone already
                     path.unlink()
 
