@@ -77,13 +77,15 @@ def benchmark(folder: Path, model: str, threads: int | None, rounds: int) -> dic
             "files, one after the other": one_after_the_other,
             "stillray denoise": overlapped,
         }
-        seconds: dict[str, list[float]] = {name: [] for name in ways}
+        seconds: dict[str, list[tuple[float, float]]] = {name: [] for name in ways}
         alone()  # memory and caches are warm for all
         for _ in range(rounds):
             for name, way in ways.items():
-                start = time.perf_counter()
+                start = time.perf_counter(), time.process_time()
                 way()
-                seconds[name].append(time.perf_counter() - start)
+                seconds[name].append(
+                    (time.perf_counter() - start[0], time.process_time() - start[1])
+                )
     return seconds
 
 
@@ -101,10 +103,14 @@ def main(
         write_shot(Path(folder), sequence, frames, height, width)
         seconds = benchmark(Path(folder), model, threads, rounds)
     own = seconds["denoiser alone"]
+    print("milliseconds a frame: on the clock, of all processors; what share of it the denoiser is")
     for name, each in seconds.items():
-        share = statistics.median(a / b for a, b in zip(own, each, strict=True))
-        milliseconds = 1e3 * statistics.median(each) / frames
-        print(f"{name:28} {milliseconds:7.1f} ms a frame, the denoiser alone is {share:.0%} of it")
+        columns = []
+        for kind in (0, 1):
+            share = statistics.median(a[kind] / b[kind] for a, b in zip(own, each, strict=True))
+            milliseconds = 1e3 * statistics.median(round_[kind] for round_ in each) / frames
+            columns.append(f"{milliseconds:8.1f} {share:4.0%}")
+        print(f"{name:28} {'   '.join(columns)}")
 
 
 if __name__ == "__main__":

@@ -82,6 +82,13 @@ def denoise(
     threads: Annotated[
         int | None, typer.Option(help="Threads; all available processors unless given.")
     ] = None,
+    max_memory: Annotated[
+        str | None,
+        typer.Option(
+            help="What the process may take, as 2G or 800M: larger frames are denoised in tiles, "
+            "slower, with the same pixels but for rounding."
+        ),
+    ] = None,
     temporal: Annotated[
         bool, typer.Option("--temporal/--no-temporal", help="Accumulate over frames.")
     ] = True,
@@ -130,6 +137,7 @@ def denoise(
     from stillray.provenance import Recipe, file_digest
     from stillray.registry import find_model
     from stillray.shot import MEMORY_FRAMES, plan_shot, steps_to_run
+    from stillray.tiles import parse_memory
 
     companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
     jobs = plan_shot(
@@ -140,6 +148,7 @@ def denoise(
         on_missing=on_missing,
         warm_up=(warm_up or 0) if temporal else 0,
     )
+    limit = None if max_memory is None else parse_memory(max_memory)
     cuts = cuts and temporal
     chosen = find_model(model)
     memory = 0 if not temporal else MEMORY_FRAMES if warm_up is None else warm_up
@@ -160,6 +169,7 @@ def denoise(
         dry_run.show(facts, as_json=as_json)
         return
     from stillray.denoiser import Denoiser
+    from stillray.overlap import AHEAD
     from stillray.runner import remove_leftovers, run_steps
 
     remove_leftovers(jobs)
@@ -172,8 +182,12 @@ def denoise(
             report.frame(frame)
 
         if steps:
-            with Denoiser(chosen.path, threads=threads, temporal=temporal) as denoiser:
-                run_steps(denoiser, steps, recipe, tell, memory=memory, cuts=cuts)
+            # in little memory no more frames than needed are held at a time
+            ahead = AHEAD if limit is None else 1
+            with Denoiser(
+                chosen.path, threads=threads, temporal=temporal, max_memory=limit
+            ) as denoiser:
+                run_steps(denoiser, steps, recipe, tell, memory=memory, cuts=cuts, ahead=ahead)
         report.end(
             reports.summarise(
                 ran, model=chosen.name, already=sum(done), seconds=reports.clock() - start
