@@ -24,7 +24,7 @@ BASE_BYTES = 300 << 20
 FRAME_BYTES = 400
 #: Bytes a pixel of a tile: features, network and reconstruction; measured, rounded up.
 TILE_BYTES = 900
-_LEAST_INNER = 64  # pixels: smaller tiles would be nothing but overlap
+_LEAST_INNER = 64  # pixels, and no less than the overlap: smaller tiles would be little else
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 
 
@@ -123,7 +123,7 @@ def plan_tiles(shape: tuple[int, int], spec: ModelSpec, max_memory: int | None) 
     if max_memory is None:
         return tiles_of(shape, max(shape), halo, multiple)
     fixed = BASE_BYTES + FRAME_BYTES * height * width
-    least = min(_LEAST_INNER + 2 * halo, max(shape))
+    least = min(max(_LEAST_INNER, halo) + 2 * halo, max(shape))
     needed = fixed + TILE_BYTES * min(least, height) * min(least, width)
     if max_memory < needed:
         raise InputError(

@@ -198,3 +198,15 @@ def test_disk_full_is_one_line_and_leaves_only_whole_files(shot):
 def test_folder_that_takes_no_files_is_named_before_any_work(shot, capsys):
     assert main(["denoise", "shot.#.exr", "-o", "/proc/clean.#.exr", *FAST]) == 2
     assert "/proc/clean.1.exr: the folder must exist and be writable" in capsys.readouterr().err
+
+
+def test_memory_that_cannot_hold_a_frame_is_refused_and_enough_changes_nothing(shot, capsys):
+    command = ["denoise", "shot.#.exr", "-o", "clean.#.exr", *FAST]
+    assert main([*command, "--max-memory", "20M"]) == 2
+    assert "max-memory must be " in capsys.readouterr().err
+    assert outputs(shot) == []
+    assert main([*command, "--max-memory", "2G"]) == 0
+    capsys.readouterr()
+    # a run that was short of memory need not do its frames again with more of it, or less
+    assert main([*command, "--resume"]) == 0
+    assert capsys.readouterr().out == "3 frames done already, nothing to do\n"
