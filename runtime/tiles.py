@@ -20,9 +20,11 @@ from stillray.prepare import Prepared
 
 #: Bytes of a process that has loaded a model and denoised nothing; measured, rounded up.
 BASE_BYTES = 300 << 20
-#: Bytes a pixel of the whole frame: buffers, history and what is prepared; measured, rounded up.
-FRAME_BYTES = 400
-#: Bytes a pixel of a tile: features, network and reconstruction; measured, rounded up.
+#: Bytes a pixel of the whole frame: buffers of three, history, what is prepared, files in progress;
+#: 147 measured for history and preparation, the others counted, rounded up.
+FRAME_BYTES = 500
+#: Bytes a pixel of a tile: features, network and reconstruction; 840 measured for kpyr-5, 410 for
+#: wskp-3, rounded up.
 TILE_BYTES = 900
 _LEAST_INNER = 64  # pixels, and no less than the overlap: smaller tiles would be little else
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
