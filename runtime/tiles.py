@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -172,13 +173,12 @@ def receptive_field(spec: ModelSpec) -> int:
 def crop(prepared: Prepared, tile: Tile) -> Prepared:
     """The part of a prepared frame that a tile sees, in arrays of its own."""
 
-    def cut(value: object) -> object:
+    def cut(value: Any) -> Any:
         if isinstance(value, np.ndarray) and value.ndim >= 2:
             return np.ascontiguousarray(value[tile.outer])
         return value
 
-    values = {f.name: cut(getattr(prepared, f.name)) for f in fields(prepared)}
+    values: dict[str, Any] = {f.name: cut(getattr(prepared, f.name)) for f in fields(prepared)}
     past = prepared.history
-    return replace(
-        prepared, **{**values, "history": replace(past, mean=cut(past.mean), guides=None)}
-    )
+    values["history"] = replace(past, mean=cut(past.mean), guides=None)
+    return replace(prepared, **values)

@@ -49,8 +49,10 @@ def write_shot(folder: Path, sequence: Path, frames: int, height: int, width: in
         write_channels(folder / f"shot.{number:04d}.exr", channels, formats=formats)
 
 
-def benchmark(folder: Path, model: str, threads: int | None, rounds: int) -> dict[str, list[float]]:
-    """Seconds of each round of each way, by its name."""
+def benchmark(
+    folder: Path, model: str, threads: int | None, rounds: int
+) -> dict[str, list[tuple[float, float]]]:
+    """Seconds on the clock and of all processors, of each round of each way, by its name."""
     jobs = plan_shot([str(folder / "shot.####.exr")], str(folder / "clean.####.exr"))
     frames = [read_exr(job.source) for job in jobs]
     steps = steps_to_run(jobs, [False] * len(jobs), memory=MEMORY_FRAMES)
