@@ -19,6 +19,7 @@ from stillray.registry import ModelInfo, find_model
 from stillray.scratch import Scratch
 from stillray.session import Network
 from stillray.strips import Strips, available_threads
+from stillray.tiles import Tile, crop, plan_tiles
 from stillray.timing import timed
 
 
@@ -36,6 +37,9 @@ class Denoiser:
         ONNX Runtime execution providers; None for the CPU.
     temporal
         Whether frames are accumulated; without, each is denoised alone.
+    max_memory
+        Bytes that the process should stay below: larger frames are denoised in tiles, which
+        takes longer and differs by rounding. None for whole frames.
 
     Raises
     ------
@@ -58,12 +62,14 @@ class Denoiser:
         threads: int | None = None,
         providers: Sequence[str] | None = None,
         temporal: bool = True,
+        max_memory: int | None = None,
     ) -> None:
         if threads is not None and threads < 1:
             raise InputError(f"threads must be 1 or more, got {threads}")
         threads = threads or available_threads()
         self.model = model if isinstance(model, ModelInfo) else find_model(model)
         self.temporal = temporal
+        self.max_memory = max_memory
         self._history: History | None = None
         #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
         self.last_timings: dict[str, float] = {}
@@ -124,6 +130,11 @@ class Denoiser:
         (height, width, 3) float32
             Scene-linear radiance: finite, >= 0, and within the range of the accumulated radiance
             of each window, since kernels cannot invent light.
+
+        Raises
+        ------
+        InputError
+            The frame does not fit into ``max_memory``, not even in tiles.
         """
         return self._run(frame, {})[0]
 
@@ -169,6 +180,12 @@ class Denoiser:
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         self.last_timings = {}
         spec = self.model.spec
+        tiles = plan_tiles(frame.shape, spec, self.max_memory)
+        if layers and len(tiles) > 1:
+            raise InputError(
+                f"max-memory must hold the whole frame where other layers are filtered too, got "
+                f"{self.max_memory} bytes for {frame.shape[1]} x {frame.shape[0]} pixels"
+            )
         family = FAMILIES[spec.family]
         history = self._history if self.temporal else None
         # a layer without a past would not add up with those that have one
@@ -192,14 +209,12 @@ class Denoiser:
             previous = recall.recalled(
                 history, prepared, self._strips, self.last_timings, self._kept
             )
-        features = self._encode(frame, spec, prepared, previous)
-        with timed(self.last_timings, "network"):
-            outputs = self._network.run(features)
-        image = family.reconstruct(
-            prepared, previous, outputs, spec, self._strips, self.last_timings
-        )
         images: dict[str, np.ndarray] = {}
         pasts: dict[str, LayerPast] = {}
+        if len(tiles) == 1:
+            image, outputs = self._filter(prepared, previous)
+        else:
+            image = self._filter_tiles(prepared, previous, tiles)
         if layers:
             with timed(self.last_timings, "layers"):
                 images, pasts = aovs.filter_layers(
@@ -212,6 +227,28 @@ class Denoiser:
         self._remember(replace(prepared.history, output=output, layers=pasts))
         return image, images
 
+    def _filter_tiles(
+        self, prepared: Prepared, previous: np.ndarray | None, tiles: list[Tile]
+    ) -> np.ndarray:
+        image = np.empty((*prepared.local.shape, 3), np.float32)
+        for tile in tiles:
+            past = None if previous is None else np.ascontiguousarray(previous[tile.outer])
+            image[tile.inner] = self._filter(crop(prepared, tile), past)[0][tile.within]
+        return image
+
+    def _filter(
+        self, prepared: Prepared, previous: np.ndarray | None
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
+        """The picture, and what the network gave for it."""
+        spec = self.model.spec
+        features = self._encode(spec, prepared, previous)
+        with timed(self.last_timings, "network"):
+            outputs = self._network.run(features)
+        image = FAMILIES[spec.family].reconstruct(
+            prepared, previous, outputs, spec, self._strips, self.last_timings
+        )
+        return image, outputs
+
     def _remember(self, history: History) -> None:
         # two histories change places, unless somebody may still look at the older
         self._spare = None if self._lent else self._history
@@ -220,9 +257,9 @@ class Denoiser:
             self._history, self._spare = None, history
 
     def _encode(
-        self, frame: Frame, spec: ModelSpec, prepared: Prepared, previous: np.ndarray | None
+        self, spec: ModelSpec, prepared: Prepared, previous: np.ndarray | None
     ) -> np.ndarray:
-        height, width = frame.shape
+        height, width = prepared.local.shape
         multiple = FAMILIES[spec.family].multiple(spec)
         full = (-(-height // multiple) * multiple, -(-width // multiple) * multiple)
         features_nchw = self._kept.array("features", (1, len(spec.network.features), *full))

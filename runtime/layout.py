@@ -55,6 +55,16 @@ class Layout:
         detection = detect_in_sequence(paths, layers=layers) if temporal else None
         return cls(layers=layers or {}, aovs=aovs, only_color=only_color, detection=detection)
 
+    def options(self) -> dict[str, str | bool | None]:
+        """What of it changes the files that are written, by name."""
+        convention = None if self.detection is None else self.detection.convention
+        return {
+            "layers": ",".join(f"{role}={name}" for role, name in sorted(self.layers.items())),
+            "aovs": None if self.aovs is None else ",".join(self.aovs),
+            "only_color": self.only_color,
+            "motion": None if self.detection is None else str(convention),
+        }
+
     def read(
         self, path: Path, companions: Mapping[str, Any], before: Path | None
     ) -> tuple[Frame, dict[str, np.ndarray]]:

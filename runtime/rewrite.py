@@ -7,6 +7,7 @@ of rows at a time, with its own types, compression, tiles and windows.
 
 from __future__ import annotations
 
+import errno
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -65,7 +66,9 @@ def rewrite(
     ------
     InputError
         A part to change holds levels, many samples a pixel or subsampled channels, or the file
-        cannot be decoded or encoded.
+        cannot be decoded.
+    OSError
+        The target cannot be written; the one who chose its name can say which file that is.
     """
     changed = sorted({part for part, _ in replaced})
     parts, clamped = list(container.parts), 0
@@ -129,7 +132,7 @@ def _encode(
     clamped = 0
     sink = oiio.ImageOutput.create("exr")
     if not sink.open(str(target), spec):
-        raise InputError(f"{target}: cannot be written: {reason(sink.geterror())}")
+        raise OSError(errno.EIO, reason(sink.geterror()))
     with opened(source) as pixels:
         pixels.seek_subimage(number, 0)
         for top, bottom in _bands(part):
@@ -144,10 +147,10 @@ def _encode(
             if not _write_band(sink, part, band, top, bottom):
                 message = reason(sink.geterror())
                 sink.close()
-                raise InputError(f"{target}: cannot be written: {message}")
+                raise OSError(errno.EIO, message)
     message = sink.geterror()
     if not sink.close() or message:
-        raise InputError(f"{target}: cannot be written: {reason(message or sink.geterror())}")
+        raise OSError(errno.EIO, reason(message or sink.geterror()))
     return clamped
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from stillray.errors import InputError
-from stillray.sequence import expand, map_companions, numbered, refuse_overwriting
+from stillray.sequence import expand, map_companions, numbered, refuse_overwriting, select
 
 
 def touch(folder, *names):
@@ -99,3 +99,71 @@ def test_refuse_overwriting_sees_through_links_and_detours(tmp_path):
         with pytest.raises(InputError, match="must not overwrite an input"):
             refuse_overwriting([output], [tmp_path / "s.exr"])
     refuse_overwriting([tmp_path / "t.exr"], [tmp_path / "s.exr"])
+
+
+def test_expand_glob_numbers_by_the_last_digits_of_the_name(tmp_path):
+    touch(tmp_path, "v2_shot.9.exr", "v2_shot.10.exr", "other.11.exr")
+    assert expand(tmp_path / "v2*.exr") == [
+        (9, tmp_path / "v2_shot.9.exr"),
+        (10, tmp_path / "v2_shot.10.exr"),
+    ]
+
+
+def test_expand_glob_of_a_single_file_still_has_its_number(tmp_path):
+    touch(tmp_path, "shot.0007.exr", "plain.exr")
+    assert expand(tmp_path / "shot.*.exr") == [(7, tmp_path / "shot.0007.exr")]
+    assert expand(tmp_path / "pl*.exr") == [(None, tmp_path / "plain.exr")]
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (["a.1.exr", "b.2.exr"], ["b.2.exr", "by their number only", "a.2.exr"]),
+        (["a.1.exr", "a.01.exr"], ["same number"]),
+        (["a.exr", "b.exr"], ["must hold its number"]),
+        (["shot.1.exr", "shot.1.albedo.exr"], ["by their number only"]),
+        ([], ["no file matches"]),
+    ],
+)
+def test_expand_glob_refuses_what_is_not_one_sequence(tmp_path, names, words):
+    touch(tmp_path, *names)
+    with pytest.raises(InputError) as error:
+        expand(tmp_path / "*.exr")
+    assert all(word in str(error.value) for word in words)
+
+
+def test_select_takes_what_is_wanted_and_names_what_is_missing(tmp_path):
+    touch(tmp_path, *(f"s.{n}.exr" for n in (1, 2, 3, 6, 7)))
+    files = expand(tmp_path / "s.#.exr")
+    assert [f.number for f in select(files, [2, 3])] == [2, 3]
+    with pytest.raises(InputError, match=r"no file for frame 4-5 beside .*on-missing skip"):
+        select(files, None)
+    with pytest.raises(InputError, match="no file for frame 8-9 "):
+        select(files, [7, 8, 9])
+    assert [f.number for f in select(files, None, on_missing="skip")] == [1, 2, 3, 6, 7]
+    assert [f.number for f in select(files, [5, 6], on_missing="skip")] == [6]
+
+
+def test_select_with_no_frame_left_says_what_there_is(tmp_path):
+    touch(tmp_path, "s.1.exr", "s.2.exr")
+    with pytest.raises(InputError, match=r"frames must be among 1-2 .* got 10-11"):
+        select(expand(tmp_path / "s.#.exr"), [10, 11], on_missing="skip")
+
+
+def test_select_refuses_numbers_for_one_plain_file(tmp_path):
+    touch(tmp_path, "s.exr")
+    with pytest.raises(InputError, match="frames must be chosen from a sequence"):
+        select(expand(tmp_path / "s.exr"), [1])
+
+
+def test_map_companions_takes_a_folder_or_a_glob(tmp_path):
+    touch(tmp_path, "s.1.exr", "s.2.exr", "alb_01.exr", "alb_02.exr", "alb_03.exr")
+    (tmp_path / "out").mkdir()
+    frames = expand(tmp_path / "s.#.exr")
+    folder = map_companions(tmp_path / "out", frames, name="output")
+    assert folder == [tmp_path / "out" / "s.1.exr", tmp_path / "out" / "s.2.exr"]
+    by_glob = map_companions(tmp_path / "alb*.exr", frames, name="albedo")
+    assert [path.name for path in by_glob] == ["alb_01.exr", "alb_02.exr"]
+    (tmp_path / "alb_02.exr").unlink()
+    with pytest.raises(InputError, match=r"albedo must have a file for every frame.*s\.2\.exr"):
+        map_companions(tmp_path / "alb*.exr", frames, name="albedo")

@@ -11,6 +11,7 @@ import typer
 
 from stillray.cli.compare import compare
 from stillray.cli.denoise import denoise
+from stillray.cli.familiar import spell_out
 from stillray.cli.info import info
 from stillray.cli.models import models
 from stillray.cli.profile import profile
@@ -18,13 +19,14 @@ from stillray.cli.program import BAD_INPUT, DONE, FAILED, complain
 from stillray.cli.tradeoff import tradeoff
 from stillray.errors import InputError
 
+_INTERRUPTED = 130  # what newer versions of typer make of Ctrl-C, where others raise Abort
+
 
 def build_app() -> typer.Typer:
     """The command-line application with all its subcommands."""
     app = typer.Typer(
         name="stillray",
         help="Denoise Monte Carlo renders of one to a few samples per pixel.",
-        add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
     )
@@ -48,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit code: 0 done, 1 failed, 2 bad usage or input.
     """
     command = typer.main.get_command(build_app())
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    given = spell_out(sys.argv[1:] if arguments is None else arguments)
     try:
         code = command.main(args=given or ["--help"], prog_name="stillray", standalone_mode=False)
         sys.stdout.flush()  # a closed pipe shows here, not on the interpreter's way out
@@ -65,6 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         traceback.print_exc()
         return complain(f"unexpected {type(error).__name__}: {error}", FAILED)
+    if code == _INTERRUPTED:
+        return complain("interrupted", FAILED)
     return code if isinstance(code, int) else DONE
 
 

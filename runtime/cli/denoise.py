@@ -2,40 +2,65 @@
 
 from __future__ import annotations
 
-import statistics
-import sys
-import time
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stillray.cli.jobs import finished, plan_jobs, steps_to_run
+from stillray.cli import dry_run, reports
+from stillray.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
+    from stillray.runner import Done
 
-    from stillray.cli.jobs import Step
-    from stillray.denoiser import Denoiser
-    from stillray.layout import Layout
+_FILE = "EXR file that holds the {}, or a pattern, glob or folder for a sequence."
 
-_FILE = "EXR file that holds the {}, or a pattern for a sequence."
+
+def _complete_model(incomplete: str) -> list[str]:
+    from stillray.registry import list_models
+
+    models = list_models()
+    names = [alias for model in models for alias in model.aliases] + [m.name for m in models]
+    return [name for name in names if name.startswith(incomplete)]
 
 
 def denoise(
-    source: Annotated[
-        str,
-        typer.Argument(metavar="INPUT", help="An EXR file, or a sequence as 'shot.####.exr'."),
-    ],
+    sources: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="INPUT...",
+            help="An EXR file; a sequence as 'shot.####.exr', 'shot.%04d.exr' or 'shot.*.exr'; "
+            "or the files of one sequence.",
+        ),
+    ] = None,
+    hdr: Annotated[
+        str | None, typer.Option("--hdr", "-hdr", help="INPUT, as oidnDenoise names it.")
+    ] = None,
     output: Annotated[
-        str, typer.Option("--output", "-o", help="An EXR file, or a pattern as 'clean.####.exr'.")
-    ],
+        str,
+        typer.Option(
+            "--output",
+            "-o",
+            help="An EXR file, a pattern as 'clean.####.exr', or a folder, which gets files of "
+            "the inputs' names.",
+        ),
+    ] = "",
     model: Annotated[
         str,
-        typer.Option("--model", "-m", help="fast, balanced, high, a model name or .onnx file."),
+        typer.Option(
+            "--model",
+            "--quality",
+            "-m",
+            autocompletion=_complete_model,
+            help="fast, balanced, high, a model name or .onnx file; also -q high, as oidnDenoise "
+            "has it.",
+        ),
     ] = "balanced",
-    albedo: Annotated[str | None, typer.Option(help=_FILE.format("albedo"))] = None,
-    normal: Annotated[str | None, typer.Option(help=_FILE.format("normal"))] = None,
+    albedo: Annotated[
+        str | None, typer.Option("--albedo", "--alb", "-alb", help=_FILE.format("albedo"))
+    ] = None,
+    normal: Annotated[
+        str | None, typer.Option("--normal", "--nrm", "-nrm", help=_FILE.format("normal"))
+    ] = None,
     depth: Annotated[str | None, typer.Option(help=_FILE.format("depth"))] = None,
     motion: Annotated[str | None, typer.Option(help=_FILE.format("motion"))] = None,
     layer: Annotated[
@@ -52,125 +77,148 @@ def denoise(
     only_color: Annotated[
         bool, typer.Option("--only-color", help="Write R, G, B and no other channels.")
     ] = False,
+    frames: Annotated[
+        str | None, typer.Option(help="Frames to write, as 10-80, 10-80x2 or 1,5,10-20.")
+    ] = None,
+    on_missing: Annotated[
+        str,
+        typer.Option(
+            help="error, or skip: go on without frames that have no file, with a new history."
+        ),
+    ] = "error",
+    warm_up: Annotated[
+        int | None,
+        typer.Option(
+            help="Run so many frames before the first one too, without writing them, so that it "
+            "has a history: for a part of a shot. Where a run is resumed, 32 unless given."
+        ),
+    ] = None,
     threads: Annotated[
         int | None, typer.Option(help="Threads; all available processors unless given.")
+    ] = None,
+    max_memory: Annotated[
+        str | None,
+        typer.Option(
+            help="What the process may take, as 2G or 800M: larger frames are denoised in tiles, "
+            "slower, with the same pixels but for rounding."
+        ),
     ] = None,
     temporal: Annotated[
         bool, typer.Option("--temporal/--no-temporal", help="Accumulate over frames.")
     ] = True,
+    cuts: Annotated[
+        bool,
+        typer.Option(
+            "--cuts/--no-cuts", help="Look for cuts and begin a new history where one is found."
+        ),
+    ] = True,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Keep outputs that are newer and complete.")
+        bool,
+        typer.Option(
+            "--resume",
+            help="Keep outputs that were made from the same inputs with the same model and "
+            "options, known by digests that they hold.",
+        ),
+    ] = False,
+    dry: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Say what would be done, and why; write nothing."),
+    ] = False,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print a JSON object a line: one a frame, then a summary."),
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", help="Print errors only; also -q before another option.")
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="A line a frame with all its times.")
     ] = False,
 ) -> None:
-    """Denoise an EXR file or a numbered sequence."""
-    companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
+    """Denoise an EXR file or a numbered sequence.
+
+    Flags of oidnDenoise that mean the same are taken: --hdr, --alb, --nrm, -o, -q, with one dash
+    or two.
+    """
+    if hdr is not None:
+        if sources:
+            raise InputError(f"INPUT must be given once, got {sources[0]} and --hdr {hdr}")
+        sources = [hdr]
+    if not sources:
+        raise InputError("INPUT must be given: an EXR file or a sequence as 'shot.####.exr'")
+    if not output:
+        raise InputError("output must be given: -o FILE, PATTERN or FOLDER")
     from stillray.layers import parse_overrides
-
-    chosen = parse_overrides(layer or [])
-    given = {role: p for role, p in companions.items() if p is not None}
-    jobs = plan_jobs(source, output, given, chosen)
-    done = [resume and finished(job) for job in jobs]
-    from stillray.denoiser import Denoiser
     from stillray.layout import Layout
+    from stillray.provenance import Recipe, file_digest
+    from stillray.registry import find_model
+    from stillray.shot import MEMORY_FRAMES, first_run, plan_shot, steps_to_run
+    from stillray.tiles import parse_memory
 
-    names = None if aovs is None else () if aovs == "all" else tuple(aovs.split(","))
+    layers = parse_overrides(layer or [])
+    companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
+    jobs = plan_shot(
+        sources,
+        output,
+        {role: pattern for role, pattern in companions.items() if pattern is not None},
+        frames=frames,
+        on_missing=on_missing,
+        warm_up=(warm_up or 0) if temporal else 0,
+        layers=layers,
+    )
     layout = Layout.of(
-        [job.source for job in jobs],
-        layers=chosen,
-        aovs=names,
+        first_run(jobs),
+        layers=layers,
+        aovs=None if aovs is None else () if aovs == "all" else tuple(aovs.split(",")),
         only_color=only_color,
         temporal=temporal and motion is None,
     )
-    if layout.detection is not None:
-        verdict = "proven" if layout.detection.convention else "not used"
-        print(f"motion {verdict}: {layout.detection.reason}", flush=True)
-    with Denoiser(model, threads=threads, temporal=temporal) as denoiser:
-        steps = steps_to_run(jobs, done, temporal=temporal)
-        if not steps:
-            print(f"{_frames(len(jobs))} done already, nothing to do")
-            return
-        run = _run_with_progress if sys.stderr.isatty() else _run_with_lines
-        milliseconds = run(denoiser, layout, steps)
-    skipped = f", {sum(done)} done already" if any(done) else ""
-    print(
-        f"{_frames(len(milliseconds))}, median {statistics.median(milliseconds):.1f} ms per frame"
-        f" with {denoiser.model.name}{skipped}"
+    limit = None if max_memory is None else parse_memory(max_memory)
+    cuts = cuts and temporal
+    chosen = find_model(model)
+    memory = 0 if not temporal else MEMORY_FRAMES if warm_up is None else warm_up
+    recipe = Recipe(
+        model=chosen.name,
+        model_digest=file_digest(chosen.path),
+        options={"temporal": temporal, "cuts": cuts, **layout.options()},
     )
+    done = [False] * len(jobs)
+    start = reports.clock()
+    if resume:
+        from stillray.runner import finished
 
+        done = finished(jobs, recipe, memory=memory, layers=layers)
+    steps = steps_to_run(jobs, done, memory=memory)
+    if dry:
+        facts = dry_run.collect(jobs, steps, layout, chosen.spec, temporal=temporal)
+        dry_run.show(facts, as_json=as_json)
+        return
+    from stillray.denoiser import Denoiser
+    from stillray.overlap import AHEAD
+    from stillray.runner import remove_leftovers, run_steps
 
-def _run(
-    denoiser: Denoiser,
-    layout: Layout,
-    steps: Sequence[Step],
-    report: Callable[[Step, float], None],
-) -> list[float]:
-    """Denoise every step; milliseconds of those written, without reading and writing."""
-    from stillray.layers import holds_irradiance
+    remove_leftovers(jobs)
+    kind = "json" if as_json else "quiet" if quiet else "text"
+    ran: list[Done] = []
+    with reports.report_to(kind, steps, verbose=verbose) as report:
+        if layout.detection is not None:
+            report.motion(layout.detection)
 
-    milliseconds = []
-    before: Path | None = None
-    for step in steps:
-        job = step.job
-        frame, lights = layout.read(
-            job.source, job.companions, None if step.starts_anew else before
-        )
-        if step.starts_anew:
-            denoiser.reset()
-        start = time.perf_counter()
-        if lights:
-            bare = [name for name in lights if holds_irradiance(name)]
-            clean, lights = denoiser.denoise_layers(frame, lights, irradiance=bare)
-        else:
-            clean = denoiser.denoise(frame)
-        elapsed = 1e3 * (time.perf_counter() - start)
-        if step.writes:
-            tags = {"stillray:model": denoiser.model.name}
-            clamped = layout.write(job.output, clean, lights, like=job.source, attributes=tags)
-            if clamped:
-                print(f"{job.output}: {clamped} values beyond the half range, clamped to 65504")
-            milliseconds.append(elapsed)
-        before = job.source
-        report(step, elapsed)
-    return milliseconds
+        def tell(frame: Done) -> None:
+            ran.append(frame)
+            report.frame(frame)
 
-
-def _run_with_lines(denoiser: Denoiser, layout: Layout, steps: Sequence[Step]) -> list[float]:
-    def report(step: Step, elapsed: float) -> None:
-        target = str(step.job.output) if step.writes else "(warm-up, not written)"
-        # the very first frame has no history either, and that needs no saying
-        cut = "  history starts anew" if step.starts_anew and step is not steps[0] else ""
-        print(f"{step.job.source} -> {target}  {elapsed:.1f} ms{cut}", flush=True)
-
-    return _run(denoiser, layout, steps, report)
-
-
-def _run_with_progress(denoiser: Denoiser, layout: Layout, steps: Sequence[Step]) -> list[float]:
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[last]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("denoising", total=len(steps), last="")
-
-        def report(step: Step, elapsed: float) -> None:
-            progress.update(
-                task, advance=1, description=step.job.source.name, last=f"{elapsed:.0f} ms"
+        if steps:
+            # in little memory no more frames than needed are held at a time
+            ahead = AHEAD if limit is None else 1
+            with Denoiser(
+                chosen.path, threads=threads, temporal=temporal, max_memory=limit
+            ) as denoiser:
+                run_steps(
+                    denoiser, steps, layout, recipe, tell, memory=memory, cuts=cuts, ahead=ahead
+                )
+        report.end(
+            reports.summarise(
+                ran, model=chosen.name, already=sum(done), seconds=reports.clock() - start
             )
-
-        return _run(denoiser, layout, steps, report)
-
-
-def _frames(count: int) -> str:
-    return "1 frame" if count == 1 else f"{count} frames"
+        )
