@@ -34,12 +34,17 @@ class Family:
         The tensors that `decode` takes.
     modulates
         Whether `decode` gives radiance; otherwise irradiance, to be multiplied by the divisor.
+    leak
+        Share of the brightest light within reach that the rounding of a network's outputs may
+        move to a pixel. Weights that are products of positive numbers are rounded in proportion,
+        and move nothing.
     """
 
     network: Callable[[ModelSpec], nn.Module]
     decode: Callable[[Any, Mapping[str, Tensor], ModelSpec, BoxFilter], Tensor]
     inputs: tuple[str, ...]
     modulates: bool
+    leak: float = 0.0
 
     def radiance(self, outputs: Any, batch: Mapping[str, Tensor], spec: ModelSpec) -> Tensor:
         """The ``(n, 3, h, w)`` radiance that a network's outputs stand for."""
