@@ -150,6 +150,38 @@ class PyramidKernels:
 
 
 @dataclass(frozen=True, kw_only=True)
+class GuideNetwork:
+    """GuideNet: two convolutions, or a dense block between them (Meng et al. 2020, figure 2)."""
+
+    features: tuple[str, ...]  # input planes by name
+    width: int  # output channels of the first block
+    dense_layers: int  # blocks that each see all before them, 0: none
+    growth: int  # output channels of each of those
+    kernel_size: int  # pixels, odd
+    branches: tuple[int, ...]  # kernel sizes trained side by side and fused for inference
+    identity: bool  # an identity branch where input and output widths agree (training only)
+
+    def __post_init__(self) -> None:
+        _branches(self.kernel_size, self.branches)
+        _within("network.dense_layers", self.dense_layers, 0, 64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BilateralGrids:
+    """Bilateral grids at one or several scales (Meng et al. 2020, eq. 8 to 15)."""
+
+    grids: int  # one a scale; every scale doubles the rates
+    spacing: int  # pixels from cell to cell of the finest grid, along x and y
+    depth_spacing: float  # and along its guide, of which there are 255
+    weigh_samples: bool  # splat a pixel by the samples that it holds
+
+    def __post_init__(self) -> None:
+        _within("decoder.grids", self.grids, 1, 5)
+        _within("decoder.spacing", self.spacing, 1, 64)
+        _within("decoder.depth_spacing", self.depth_spacing, 1, 255)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Training:
     """The recipe that `python -m stillray.training.train` follows."""
 
@@ -179,8 +211,8 @@ class ModelSpec:
     demodulate: Demodulate
     transfer: Transfer
     temporal: Temporal
-    network: ImportanceNetwork | PyramidNetwork
-    decoder: FusedKernels | PyramidKernels
+    network: ImportanceNetwork | PyramidNetwork | GuideNetwork
+    decoder: FusedKernels | PyramidKernels | BilateralGrids
     training: Training
 
     def __post_init__(self) -> None:
@@ -209,6 +241,7 @@ class ModelSpec:
 FAMILIES = {
     "weight-sharing-kernels": Family(ImportanceNetwork, FusedKernels),
     "kernel-pyramid": Family(PyramidNetwork, PyramidKernels),
+    "bilateral-grids": Family(GuideNetwork, BilateralGrids),
 }
 
 
