@@ -27,13 +27,16 @@ import numpy as np
 from stillray.models_spec.loader import BilateralGrids, ModelSpec
 from stillray.prepare import Prepared
 from stillray.scratch import Scratch
-from stillray.strips import FILTER_PIXELS, Strips, strips_of
+from stillray.strips import Strips, strips_of
 from stillray.timing import timed
 
 #: Values of a guide, of which the paper has as many as an 8-bit image.
 GUIDE_RANGE = 255.0
+# Weight of a cell, in samples, below which it is empty: far below the least sample's least corner.
+_EMPTY = np.float32(1e-30)
 # Four float32 channels of a pixel or a cell as one element, which NumPy moves at once.
 _FOUR = np.complex128
+_HALF = np.float32(0.5)
 
 
 def grid_cells(
@@ -42,7 +45,8 @@ def grid_cells(
     """Rows, columns and depth of a grid, 0 being the finest scale."""
     spacing = options.spacing << scale
     depth = math.ceil(GUIDE_RANGE / (options.depth_spacing * 2**scale)) + 1
-    return -(-height // spacing) + 1, -(-width // spacing) + 1, depth
+    # no quotients of negative numbers here: an exported graph rounds those the other way
+    return (height - 1) // spacing + 2, (width - 1) // spacing + 2, depth
 
 
 def reach(spec: ModelSpec) -> int:
@@ -110,7 +114,7 @@ def filter_grids(
     unit = _unit(options)
     # strips of whole cells of the coarsest grid
     units = -(-height // unit), unit * width
-    bounds = strips_of(*units, FILTER_PIXELS)
+    bounds = strips_of(*units)
     grids = [_strip_grids(bounds, width, options, scale, strips) for scale in range(options.grids)]
 
     def construct(rows: slice) -> None:
@@ -119,7 +123,7 @@ def filter_grids(
         for scale, grid in enumerate(grids):
             _construct(light, maps[scale, own], grid[rows.start], options, scale, scratch)
 
-    strips.run(construct, *units, pixels=FILTER_PIXELS)
+    strips.run(construct, *units)
     for grid in grids:  # in order: the same sums for any number of threads
         for above, below in pairwise(grid.values()):
             above[-1] += below[0]
@@ -131,7 +135,7 @@ def filter_grids(
         light = _read([grid[rows.start] for grid in grids], maps[:, own], options, strips.scratch)
         np.multiply(light[..., :3], 1 if divisor is None else divisor[own], out=image[own])
 
-    strips.run(read, *units, pixels=FILTER_PIXELS)
+    strips.run(read, *units)
     return image
 
 
@@ -191,7 +195,7 @@ def _construct(
             cv2.scaleAdd(part[phase].reshape(-1, 4), weight, found, dst=found)
             here[index] = _as_one(found)
     for _ in range(scale):
-        fine = _coarser(fine)
+        fine = _coarser(fine, scratch)
     if scale:
         np.copyto(grid, fine)
 
@@ -214,7 +218,7 @@ def _read(
         else:
             np.copyto(factor, rest)
         found = cv2.extractChannel(sums, 3, dst=scratch.array("weight", shape))
-        np.divide(factor, found, out=factor, where=found > 0)
+        factor /= np.maximum(found, _EMPTY, out=found)
         cv2.accumulateProduct(sums, _four_times(factor, scratch), total)
     return total
 
@@ -223,15 +227,16 @@ def _sliced(
     grid: np.ndarray, guide: np.ndarray, options: BilateralGrids, scale: int, scratch: Scratch
 ) -> np.ndarray:
     """Numerators and, last, the denominator of eq. 13, ``(h, w, 4)``; the grid is overwritten."""
-    # from sums to means, and 1 where a cell is not empty
-    flat = grid.reshape(-1, grid.shape[2] * 4)
-    weight = grid.reshape(-1, 4)[:, 3].reshape(flat.shape[0], -1)
-    inverse = np.zeros_like(weight)
-    np.divide(1, weight, out=inverse, where=weight > 0)
-    flat *= _four_times(inverse, scratch).reshape(flat.shape)
+    # from sums to means, and 1 where a cell is not empty: empty ones have sums of exactly 0
+    flat = grid.reshape(-1, grid.shape[2], 4)
+    filled = cv2.extractChannel(flat, 3, dst=scratch.array("filled", flat.shape[:2]))
+    np.reciprocal(np.maximum(filled, _EMPTY, out=filled), out=filled)
+    flat *= _four_times(filled, scratch)
     fine = grid
-    for _ in range(scale):
-        fine = _finer(fine)
+    for step in range(scale):
+        rows, columns = (2 * size - 1 for size in fine.shape[:2])
+        coarse, fine = fine, scratch.array(f"fine {step}", (rows, columns, *grid.shape[2:]))
+        _finer(coarse, fine)
     cells = _as_one(fine).reshape(-1)
     at, far = _places(guide, fine.shape, options, scale, scratch)
     deep, near = (scratch.array(name, far.shape) for name in ("deep light", "near light"))
@@ -332,27 +337,27 @@ def _from_phases(phases: np.ndarray, out: np.ndarray) -> None:
         part[...] = phases[down, across, : part.shape[0], : part.shape[1]]
 
 
-def _coarser(fine: np.ndarray) -> np.ndarray:
+def _coarser(fine: np.ndarray, scratch: Scratch) -> np.ndarray:
     """Sums at twice the spacing: a tent over the cells."""
-    for axis in (0, 1):
-        fine = np.moveaxis(fine, axis, 0)
-        sums, half = fine[::2].copy(), fine[1::2] * np.float32(0.5)
-        sums[:-1] += half
-        sums[1:] += half
-        fine = np.moveaxis(sums, 0, axis)
-    return fine
+    half = np.multiply(fine[1::2], _HALF, out=scratch.array("half rows", fine[1::2].shape))
+    rows = fine[::2]
+    rows[:-1] += half
+    rows[1:] += half
+    half = np.multiply(rows[:, 1::2], _HALF, out=scratch.array("half", rows[:, 1::2].shape))
+    cells = rows[:, ::2]
+    cells[:, :-1] += half
+    cells[:, 1:] += half
+    return cells
 
 
-def _finer(coarse: np.ndarray) -> np.ndarray:
+def _finer(coarse: np.ndarray, fine: np.ndarray) -> None:
     """Values at half the spacing, between the cells."""
-    for axis in (0, 1):
-        coarse = np.moveaxis(coarse, axis, 0)
-        values = np.empty((2 * len(coarse) - 1, *coarse.shape[1:]), np.float32)
-        values[::2] = coarse
-        np.add(coarse[:-1], coarse[1:], out=values[1::2])
-        values[1::2] *= np.float32(0.5)
-        coarse = np.moveaxis(values, 0, axis)
-    return np.ascontiguousarray(coarse)
+    rows = fine[::2]
+    rows[:, ::2] = coarse
+    np.add(coarse[:, :-1], coarse[:, 1:], out=rows[:, 1::2])
+    rows[:, 1::2] *= _HALF
+    np.add(rows[:-1], rows[1:], out=fine[1::2])
+    fine[1::2] *= _HALF
 
 
 def _four_times(plane: np.ndarray, scratch: Scratch) -> np.ndarray:
