@@ -76,6 +76,7 @@ FAMILIES = {
         lambda spec: 1,
         grid.reach,
         recalls=False,
+        renews=False,
         method=grid.method,
     ),
 }
