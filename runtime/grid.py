@@ -52,7 +52,7 @@ def grid_cells(
 def reach(spec: ModelSpec) -> int:
     """Pixels from which light can come to a pixel, to each side: two that share a cell."""
     assert isinstance(spec.decoder, BilateralGrids)
-    return 2 * _unit(spec.decoder) - 1
+    return 2 * (_unit(spec.decoder) - 1)
 
 
 def method(spec: ModelSpec) -> str:

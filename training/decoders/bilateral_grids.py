@@ -14,7 +14,7 @@ from stillray.models_spec.loader import BilateralGrids
 _TIP = 1e-7
 
 
-class _Tent(torch.autograd.Function):
+class Tent(torch.autograd.Function):
     """Weights of the two cells beside a position; the gradient is that of sqrt(a^2 + e) for |a|."""
 
     @staticmethod
@@ -99,7 +99,7 @@ def splat_and_slice(
     floor = position.detach().floor().clamp(max=depths - 2)
     part = position - floor
     # an exported graph cannot hold a gradient of our own
-    tent = _Tent.apply(part) if part.requires_grad else (1 - part, part)
+    tent = Tent.apply(part) if part.requires_grad else (1 - part, part)
     across = torch.arange(width, device=part.device)
     down = torch.arange(height, device=part.device)
     first = torch.arange(count, device=part.device)[:, None, None] * (rows * columns * depths)
