@@ -9,10 +9,10 @@ is empty if nothing was splatted into it; eq. 13 takes a black one for empty. Th
 is what the others leave of 1, each taking its share of the rest: never negative, where
 ``1 - w0 - w1`` can be; the price is that scales cannot be set off against each other to sharpen.
 
-A tent of 8 or 16 pixels is a tent of 4 pixels, then one over the cells (linear B-splines refine).
-So every scale is splatted and sliced at the finest spacing, where pixels of one phase, one from
-each block, never meet in a cell: that is plain indexing, without the slow additions of equal
-places.
+A grid is made and read one row of blocks at a time, between two rows of cells. Pixels are splatted
+along x and depth into a slab of their own row, where those of one phase, one from each block, never
+meet in a cell: that is plain indexing, without the slow additions at equal places. Along y the
+slabs are then added up by the tent; and back the same way.
 """
 
 from __future__ import annotations
@@ -36,7 +36,6 @@ GUIDE_RANGE = 255.0
 _EMPTY = np.float32(1e-30)
 # Four float32 channels of a pixel or a cell as one element, which NumPy moves at once.
 _FOUR = np.complex128
-_HALF = np.float32(0.5)
 
 
 def grid_cells(
@@ -114,25 +113,27 @@ def filter_grids(
     unit = _unit(options)
     # strips of whole cells of the coarsest grid
     units = -(-height // unit), unit * width
-    bounds = strips_of(*units)
-    grids = [_strip_grids(bounds, width, options, scale, strips) for scale in range(options.grids)]
+    grids = [
+        _Grid(maps[scale], options, scale, strips_of(*units), strips.scratch)
+        for scale in range(options.grids)
+    ]
 
     def construct(rows: slice) -> None:
         own, scratch = slice(rows.start * unit, min(rows.stop * unit, height)), strips.scratch
         light = _light(mean[own], options, scratch)
-        for scale, grid in enumerate(grids):
-            _construct(light, maps[scale, own], grid[rows.start], options, scale, scratch)
+        for grid in grids:
+            grid.construct(rows, light, maps[grid.scale, own], scratch)
 
     strips.run(construct, *units)
     for grid in grids:  # in order: the same sums for any number of threads
-        for above, below in pairwise(grid.values()):
+        for above, below in pairwise(grid.parts.values()):
             above[-1] += below[0]
             np.copyto(below[0], above[-1])
     image = np.empty((height, width, 3), np.float32)
 
     def read(rows: slice) -> None:
         own = slice(rows.start * unit, min(rows.stop * unit, height))
-        light = _read([grid[rows.start] for grid in grids], maps[:, own], options, strips.scratch)
+        light = _blended(grids, rows, maps[:, own], strips.scratch)
         np.multiply(light[..., :3], 1 if divisor is None else divisor[own], out=image[own])
 
     strips.run(read, *units)
@@ -144,117 +145,203 @@ def _unit(options: BilateralGrids) -> int:
     return options.spacing << (options.grids - 1)
 
 
-def _strip_grids(
-    bounds: list[slice], width: int, options: BilateralGrids, scale: int, strips: Strips
-) -> dict[int, np.ndarray]:
-    """A grid by the start of each strip; neighbours hold the row of cells between them both."""
-    unit = _unit(options)
-    _, columns, depth = grid_cells(1, -(-width // unit) * unit, options, scale)
-    ends = [0]
-    for rows in bounds:
-        ends.append(ends[-1] + ((rows.stop - rows.start) << (options.grids - 1 - scale)) + 1)
-    whole = strips.scratch.array(f"grid {scale}", (ends[-1], columns, depth, 4))
-    return {
-        rows.start: whole[start:stop]
-        for rows, (start, stop) in zip(bounds, pairwise(ends), strict=True)
-    }
-
-
-def _construct(
-    light: np.ndarray,
-    guide: np.ndarray,
-    grid: np.ndarray,
-    options: BilateralGrids,
-    scale: int,
-    scratch: Scratch,
-) -> None:
-    """Splat a strip: the sums of eq. 10, before their division.
+class _Grid:
+    """One grid of a frame, in parts: one a strip.
 
     Parameters
     ----------
-    light : (h, w, 4) float32
-        Weighted irradiance, and the weights.
     guide : (h, w) float32
-    grid : (cells down, cells across, depth, 4) float32
-        Written.
+    options, scale
+        Of the grid.
+    bounds
+        The strips, in units of the coarsest spacing.
+    scratch
+        Where the cells lie.
     """
-    fine = _fine(grid, scale, scratch)
-    fine.fill(0)
-    cells = _as_one(fine).reshape(-1)
-    at, far = _places(guide, fine.shape, options, scale, scratch)
-    deep, near = (scratch.array(name, far.shape) for name in ("deep light", "near light"))
-    _by_phase(_as_one(light), _as_one(near))
-    np.multiply(near, far, out=deep)
-    near *= np.subtract(1, far, out=far)
-    found = scratch.array("found", (at[0, 0].size, 4))
-    for phase, weight, offset in _corners(fine.shape, options.spacing):
-        index = at[phase].reshape(-1)
-        for deeper, part in enumerate((near, deep)):
-            here = cells[offset + deeper :]
-            np.take(here, index, out=_as_one(found), mode="clip")
-            cv2.scaleAdd(part[phase].reshape(-1, 4), weight, found, dst=found)
-            here[index] = _as_one(found)
-    for _ in range(scale):
-        fine = _coarser(fine, scratch)
-    if scale:
-        np.copyto(grid, fine)
+
+    def __init__(
+        self,
+        guide: np.ndarray,
+        options: BilateralGrids,
+        scale: int,
+        bounds: list[slice],
+        scratch: Scratch,
+    ) -> None:
+        self.scale, self.spacing = scale, options.spacing << scale
+        _, columns, depth = grid_cells(*guide.shape, options, scale)
+        self._rate = np.float32(GUIDE_RANGE / (options.depth_spacing * 2**scale))
+        self._last = np.float32(depth - 2)  # the deepest cell that is the first of two
+        # only the depths between the least and the greatest guide are kept
+        self._first, deepest = (int(self._floor(edge)) for edge in cv2.minMaxLoc(guide)[:2])
+        self._cells = (columns, deepest - self._first + 2, 4)
+        # neighbours share a row of cells, of which each has its own
+        per_unit = _unit(options) // self.spacing
+        ends = [0]
+        for rows in bounds:
+            ends.append(ends[-1] + (rows.stop - rows.start) * per_unit + 1)
+        whole = scratch.array(f"grid {scale}", (ends[-1], *self._cells))
+        #: Cells by the start of the strip, ``(rows, columns, depth, 4)``.
+        self.parts = {
+            rows.start: whole[start:stop]
+            for rows, (start, stop) in zip(bounds, pairwise(ends), strict=True)
+        }
+
+    def _floor(self, guide: float) -> np.float32:
+        place = np.float32(min(max(guide, 0), 1)) * self._rate
+        return np.minimum(np.floor(place), self._last)
+
+    def construct(
+        self, rows: slice, light: np.ndarray, guide: np.ndarray, scratch: Scratch
+    ) -> None:
+        """Splat a strip: the sums of eq. 10, before their division.
+
+        Parameters
+        ----------
+        rows
+            The strip.
+        light : (h, w, 4) float32
+            Weighted irradiance, and the weights.
+        guide : (h, w) float32
+        """
+        part = self.parts[rows.start]
+        part.fill(0)
+        at, far = self._places(guide, scratch)
+        near, deep = (scratch.array(name, far.shape) for name in ("near", "deep"))
+        self._by_phase(_as_one(light), _as_one(near))
+        np.multiply(near, far, out=deep)
+        near *= np.subtract(1, far, out=far)
+        slabs = scratch.array("slabs", (self.spacing, *self._cells))
+        cells = _as_one(slabs).reshape(-1)
+        flat, flat_slabs = (rows.reshape(*rows.shape[:2], -1) for rows in (part, slabs))
+        found = scratch.array("found", (self.spacing * at.shape[2], 4))
+        found_as_one = _as_one(found)
+        for block in range(at.shape[1] // self.spacing):
+            own = slice(block * self.spacing, (block + 1) * self.spacing)
+            slabs.fill(0)
+            for phase, weight, offset in self._sides():
+                index = at[phase, own].reshape(-1)
+                for deeper, splats in enumerate((near, deep)):
+                    here = cells[offset + deeper :]
+                    here.take(index, 0, found_as_one, "clip")
+                    cv2.scaleAdd(splats[phase, own].reshape(-1, 4), weight, found, dst=found)
+                    here[index] = found_as_one
+            above, under = flat[block], flat[block + 1]
+            for row, slab in enumerate(flat_slabs):
+                cv2.scaleAdd(slab, 1 - row / self.spacing, above, dst=above)
+                if row:
+                    cv2.scaleAdd(slab, row / self.spacing, under, dst=under)
+
+    def read(self, rows: slice, guide: np.ndarray, scratch: Scratch) -> np.ndarray:
+        """Numerators and, last, the denominator of eq. 13; the strip's cells are overwritten.
+
+        Parameters
+        ----------
+        rows
+            The strip.
+        guide : (h, w) float32
+
+        Returns
+        -------
+        (h, w, 4) float32
+        """
+        part = self.parts[rows.start]
+        # from sums to means, and 1 where a cell is not empty: empty ones have sums of exactly 0
+        columns = part.reshape(-1, *part.shape[2:])
+        filled = cv2.extractChannel(columns, 3, dst=scratch.array("filled", columns.shape[:2]))
+        np.reciprocal(np.maximum(filled, _EMPTY, out=filled), out=filled)
+        columns *= _four_times(filled, scratch)
+        at, far = self._places(guide, scratch)
+        near, deep = (scratch.array(name, far.shape) for name in ("near", "deep"))
+        near.fill(0)
+        deep.fill(0)
+        slabs = scratch.array("slabs", (self.spacing, *self._cells))
+        cells = _as_one(slabs).reshape(-1)
+        flat, flat_slabs = (rows.reshape(*rows.shape[:2], -1) for rows in (part, slabs))
+        found = scratch.array("found", (self.spacing * at.shape[2], 4))
+        found_as_one = _as_one(found)
+        for block in range(at.shape[1] // self.spacing):
+            own = slice(block * self.spacing, (block + 1) * self.spacing)
+            above, under = flat[block], flat[block + 1]
+            for row, slab in enumerate(flat_slabs):
+                below = row / self.spacing
+                cv2.addWeighted(above, 1 - below, under, below, 0, dst=slab)
+            for phase, weight, offset in self._sides():
+                index = at[phase, own].reshape(-1)
+                for deeper, light in enumerate((near, deep)):
+                    cells[offset + deeper :].take(index, 0, found_as_one, "clip")
+                    sums = light[phase, own].reshape(-1, 4)
+                    cv2.scaleAdd(found, weight, sums, dst=sums)
+        deep *= far
+        near *= np.subtract(1, far, out=far)
+        near += deep
+        sums = scratch.array("sums", (*guide.shape, 4))
+        for phase, light in enumerate(_as_one(near)):
+            target = _as_one(sums)[:, phase :: self.spacing]
+            target[...] = light[: target.shape[0], : target.shape[1]]
+        return sums
+
+    def _places(self, guide: np.ndarray, scratch: Scratch) -> tuple[np.ndarray, np.ndarray]:
+        """Where the pixels of a strip lie in the slabs of their rows (eq. 12).
+
+        Returns
+        -------
+        at : (s, rows, columns) intp
+            Flat index of the first of the four cells around each pixel of blocks of s columns, by
+            the pixel's place in its block.
+        far : (s, rows, columns, 4) float32
+            How far the pixel is on its way to the next cell in depth, [0, 1], four times.
+        """
+        columns, depth, _ = self._cells
+        shape = (self.spacing, -(-len(guide) // self.spacing) * self.spacing, columns - 1)
+        place, floor = scratch.array("place", shape), scratch.array("floor", shape)
+        self._by_phase(guide, place)
+        np.clip(place, 0, 1, out=place)
+        place *= self._rate
+        np.floor(place, out=floor)
+        np.minimum(floor, self._last, out=floor)
+        place -= floor
+        # pixels beyond the frame count nothing, but need a place
+        np.maximum(floor, np.float32(self._first), out=floor)
+        at = scratch.array("at", shape, np.intp)
+        np.copyto(at, floor, casting="unsafe")
+        row = np.arange(shape[1])[:, None] % self.spacing
+        at += (row * columns + np.arange(columns - 1)) * depth - self._first
+        return at, _four_times(place, scratch)
+
+    def _sides(self) -> Iterator[tuple[int, float, int]]:
+        """Of every place in a block: weights and offsets of the cells to its left and right."""
+        for phase in range(self.spacing):
+            yield phase, 1 - phase / self.spacing, 0
+            if phase:
+                yield phase, phase / self.spacing, self._cells[1]
+
+    def _by_phase(self, image: np.ndarray, out: np.ndarray) -> None:
+        """``(h, w)`` into ``(s, rows, columns)``, padded with zeros."""
+        out.fill(0)
+        for phase, target in enumerate(out):
+            part = image[:, phase :: self.spacing]
+            target[: part.shape[0], : part.shape[1]] = part
 
 
-def _read(
-    grids: Sequence[np.ndarray], maps: np.ndarray, options: BilateralGrids, scratch: Scratch
-) -> np.ndarray:
-    """Slice a strip from its grids (eq. 13) and blend (eq. 15): ``(h, w, 4)``, the last is 1."""
+def _blended(grids: Sequence[_Grid], rows: slice, maps: np.ndarray, scratch: Scratch) -> np.ndarray:
+    """The grids' strips, divided (eq. 13) and weighed (eq. 15): ``(h, w, 4)``, the last is 1."""
     shape = maps.shape[1:]
     total = scratch.array("total", (*shape, 4))
     total.fill(0)
     factor, rest = scratch.array("factor", shape), scratch.array("rest", shape)
     rest.fill(1)
-    for scale, grid in enumerate(grids):
-        sums = _sliced(grid, maps[scale], options, scale, scratch)
-        if scale + 1 < len(grids):
-            share = np.clip(maps[len(grids) + scale], 0, 1, out=scratch.array("share", shape))
-            np.multiply(rest, share, out=factor)
-            rest -= factor
-        else:
+    for grid in grids:
+        sums = grid.read(rows, maps[grid.scale], scratch)
+        if grid is grids[-1]:
             np.copyto(factor, rest)
+        else:
+            share = maps[len(grids) + grid.scale]
+            np.multiply(rest, np.clip(share, 0, 1, out=factor), out=factor)
+            rest -= factor
         found = cv2.extractChannel(sums, 3, dst=scratch.array("weight", shape))
         factor /= np.maximum(found, _EMPTY, out=found)
         cv2.accumulateProduct(sums, _four_times(factor, scratch), total)
     return total
-
-
-def _sliced(
-    grid: np.ndarray, guide: np.ndarray, options: BilateralGrids, scale: int, scratch: Scratch
-) -> np.ndarray:
-    """Numerators and, last, the denominator of eq. 13, ``(h, w, 4)``; the grid is overwritten."""
-    # from sums to means, and 1 where a cell is not empty: empty ones have sums of exactly 0
-    flat = grid.reshape(-1, grid.shape[2], 4)
-    filled = cv2.extractChannel(flat, 3, dst=scratch.array("filled", flat.shape[:2]))
-    np.reciprocal(np.maximum(filled, _EMPTY, out=filled), out=filled)
-    flat *= _four_times(filled, scratch)
-    fine = grid
-    for step in range(scale):
-        rows, columns = (2 * size - 1 for size in fine.shape[:2])
-        coarse, fine = fine, scratch.array(f"fine {step}", (rows, columns, *grid.shape[2:]))
-        _finer(coarse, fine)
-    cells = _as_one(fine).reshape(-1)
-    at, far = _places(guide, fine.shape, options, scale, scratch)
-    deep, near = (scratch.array(name, far.shape) for name in ("deep light", "near light"))
-    deep.fill(0)
-    near.fill(0)
-    found = scratch.array("found", (at[0, 0].size, 4))
-    for phase, weight, offset in _corners(fine.shape, options.spacing):
-        index = at[phase].reshape(-1)
-        for deeper, part in enumerate((near, deep)):
-            np.take(cells[offset + deeper :], index, out=_as_one(found), mode="clip")
-            sums = part[phase].reshape(-1, 4)
-            cv2.scaleAdd(found, weight, sums, dst=sums)
-    deep *= far
-    near *= np.subtract(1, far, out=far)
-    near += deep
-    sums = scratch.array("sums", (*guide.shape, 4))
-    _from_phases(_as_one(near), _as_one(sums))
-    return sums
 
 
 def _light(mean: np.ndarray, options: BilateralGrids, scratch: Scratch) -> np.ndarray:
@@ -268,96 +355,6 @@ def _light(mean: np.ndarray, options: BilateralGrids, scratch: Scratch) -> np.nd
     samples = cv2.extractChannel(mean, 3)
     cv2.merge([samples, samples, samples, np.ones_like(samples)], dst=weights)
     return np.multiply(mean, weights, out=light)
-
-
-def _fine(grid: np.ndarray, scale: int, scratch: Scratch) -> np.ndarray:
-    """A grid of the same depth at the finest spacing; the grid itself at scale 0."""
-    if scale == 0:
-        return grid
-    rows, columns = (((size - 1) << scale) + 1 for size in grid.shape[:2])
-    return scratch.array("fine", (rows, columns, *grid.shape[2:]))
-
-
-def _places(
-    guide: np.ndarray, cells: tuple[int, ...], options: BilateralGrids, scale: int, scratch: Scratch
-) -> tuple[np.ndarray, np.ndarray]:
-    """Where pixels lie in a grid (eq. 12).
-
-    Parameters
-    ----------
-    guide : (h, w) float32
-    cells
-        Shape of the grid at the finest spacing.
-
-    Returns
-    -------
-    at : (s, s, rows, columns) intp
-        Flat index of the first of the eight cells around each pixel: blocks of s x s pixels, by
-        the pixel's place in its block.
-    far : (s, s, rows, columns, 4) float32
-        How far the pixel is on its way to the next cell in depth, [0, 1], four times.
-    """
-    rows, columns, depth = cells[0] - 1, cells[1] - 1, cells[2]
-    shape = (options.spacing, options.spacing, rows, columns)
-    position, floor = scratch.array("position", shape), scratch.array("floor", shape)
-    _by_phase(guide, position)
-    np.clip(position, 0, 1, out=position)
-    position *= np.float32(GUIDE_RANGE / (options.depth_spacing * 2**scale))
-    np.floor(position, out=floor)
-    np.minimum(floor, np.float32(depth - 2), out=floor)
-    position -= floor
-    at = scratch.array("at", shape, np.intp)
-    np.copyto(at, floor, casting="unsafe")
-    at += (np.arange(rows)[:, None] * cells[1] + np.arange(columns)) * depth
-    return at, _four_times(position, scratch)
-
-
-def _corners(cells: tuple[int, ...], spacing: int) -> Iterator[tuple[tuple[int, int], float, int]]:
-    """Of every place in a block: weights and offsets of the cells around it, in the plane."""
-    steps = [[(1 - place / spacing, 0), (place / spacing, 1)] for place in range(spacing)]
-    for phase in np.ndindex(spacing, spacing):
-        for weight_y, down in steps[phase[0]]:
-            for weight_x, across in steps[phase[1]]:
-                if weight_y and weight_x:
-                    yield phase, weight_y * weight_x, (down * cells[1] + across) * cells[2]
-
-
-def _by_phase(image: np.ndarray, out: np.ndarray) -> None:
-    """``(h, w)`` into ``(s, s, rows, columns)``, padded with zeros."""
-    out.fill(0)
-    for down, across in np.ndindex(out.shape[:2]):
-        part = image[down :: out.shape[0], across :: out.shape[1]]
-        out[down, across, : part.shape[0], : part.shape[1]] = part
-
-
-def _from_phases(phases: np.ndarray, out: np.ndarray) -> None:
-    """`_by_phase` undone."""
-    for down, across in np.ndindex(phases.shape[:2]):
-        part = out[down :: phases.shape[0], across :: phases.shape[1]]
-        part[...] = phases[down, across, : part.shape[0], : part.shape[1]]
-
-
-def _coarser(fine: np.ndarray, scratch: Scratch) -> np.ndarray:
-    """Sums at twice the spacing: a tent over the cells."""
-    half = np.multiply(fine[1::2], _HALF, out=scratch.array("half rows", fine[1::2].shape))
-    rows = fine[::2]
-    rows[:-1] += half
-    rows[1:] += half
-    half = np.multiply(rows[:, 1::2], _HALF, out=scratch.array("half", rows[:, 1::2].shape))
-    cells = rows[:, ::2]
-    cells[:, :-1] += half
-    cells[:, 1:] += half
-    return cells
-
-
-def _finer(coarse: np.ndarray, fine: np.ndarray) -> None:
-    """Values at half the spacing, between the cells."""
-    rows = fine[::2]
-    rows[:, ::2] = coarse
-    np.add(coarse[:, :-1], coarse[:, 1:], out=rows[:, 1::2])
-    rows[:, 1::2] *= _HALF
-    np.add(rows[:-1], rows[1:], out=fine[1::2])
-    fine[1::2] *= _HALF
 
 
 def _four_times(plane: np.ndarray, scratch: Scratch) -> np.ndarray:
