@@ -73,25 +73,30 @@ def reconstruct(
     assert isinstance(spec.decoder, BilateralGrids)
     (maps,) = outputs
     with timed(timings, "reconstruct"):
-        return filter_grids(prepared.history.mean, prepared.divisor, maps, spec.decoder, strips)
+        image = filter_grids(prepared.history.mean, maps, spec.decoder, strips)
+    if (by := prepared.divisor) is not None:
+
+        def modulate(rows: slice) -> None:
+            image[rows] *= by[rows]
+
+        with timed(timings, "modulate"):
+            strips.run(modulate, *image.shape[:2])
+    return image
 
 
 def filter_grids(
     mean: np.ndarray,
-    divisor: np.ndarray | None,
     maps: np.ndarray,
     options: BilateralGrids,
     strips: Strips,
 ) -> np.ndarray:
-    """Splat a frame into its grids, slice them, blend and re-modulate.
+    """Splat a frame into its grids, slice them and blend.
 
     Parameters
     ----------
     mean : (h, w, 4) float32
         Irradiance, >= 0 and finite; and the samples that each pixel holds, >= 0, which it is
         splatted by when the options say so.
-    divisor : (h, w, 3) float32 or None
-        What radiance was divided by.
     maps : (2 m - 1, h, w) float32
         A guide for each of m grids, finest first; then, for all but the last, the share that a
         grid takes of what the finer ones have left. In [0, 1]; what lies beyond is taken for the
@@ -104,8 +109,7 @@ def filter_grids(
     Returns
     -------
     (h, w, 3) float32
-        Radiance: a convex combination of irradiance within `reach`, times the divisor; 0 where
-        no pixel around counts.
+        A convex combination of irradiance within `reach`; 0 where no pixel around counts.
     """
     if np.isnan(maps.max()):
         maps = np.nan_to_num(maps, nan=0.5)
@@ -134,7 +138,7 @@ def filter_grids(
     def read(rows: slice) -> None:
         own = slice(rows.start * unit, min(rows.stop * unit, height))
         light = _blended(grids, rows, maps[:, own], strips.scratch)
-        np.multiply(light[..., :3], 1 if divisor is None else divisor[own], out=image[own])
+        np.copyto(image[own], light[..., :3])
 
     strips.run(read, *units)
     return image

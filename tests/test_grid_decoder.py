@@ -35,7 +35,7 @@ def test_decoder_equals_the_loop_oracle(size):
 
 def test_decoder_equals_the_runtime_over_several_strips():
     mean, maps = draw(100, 900, OPTIONS)
-    got = grid.filter_grids(mean, None, maps, OPTIONS, Strips(1))
+    got = grid.filter_grids(mean, maps, OPTIONS, Strips(1))
     np.testing.assert_allclose(got, decode(mean, maps), atol=ROUNDING * mean[..., :3].max())
 
 

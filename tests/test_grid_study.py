@@ -26,12 +26,12 @@ def test_a_scale_alone_is_all_of_the_picture():
     features = np.zeros((len(SPEC.network.features), 33, 18), np.float32)
     for scale in range(3):
         alone = changed(f"scale {scale} alone", features, maps)
-        got = grid.filter_grids(mean, None, alone, SPEC.decoder, Strips(1))
+        got = grid.filter_grids(mean, alone, SPEC.decoder, Strips(1))
         other = maps.copy()
         others = [index for index in range(3) if index != scale]
         other[others] = 0.1
         other[3:] = alone[3:]
-        same = grid.filter_grids(mean, None, other, SPEC.decoder, Strips(1))
+        same = grid.filter_grids(mean, other, SPEC.decoder, Strips(1))
         np.testing.assert_allclose(got, same, rtol=1e-6)
     np.testing.assert_array_equal(changed("as trained", features, maps), maps)
 

@@ -20,13 +20,13 @@ import typer
 
 from stillray import grid, kernels
 from stillray.cli import program
+from stillray.compare import metrics
 from stillray.denoiser import Denoiser
 from stillray.exr import read_exr
 from stillray.models_spec import ModelSpec
 from stillray.models_spec.loader import BilateralGrids, FusedKernels
 from stillray.registry import find_model
 from stillray.strips import Strips, available_threads
-from stillray.training import metrics
 from stillray.training.evaluate import find_scenes, last_referenced
 
 KERNELS = "wskp-6"
@@ -148,7 +148,7 @@ def _grids_run(
     mean: np.ndarray, maps: np.ndarray, options: BilateralGrids, strips: Strips
 ) -> Callable[[], object]:
     own = maps[: 2 * options.grids - 1]
-    return lambda: grid.filter_grids(mean, None, own, options, strips)
+    return lambda: grid.filter_grids(mean, own, options, strips)
 
 
 def _kernels_run(
