@@ -172,7 +172,8 @@ class _Grid:
         scratch: Scratch,
     ) -> None:
         self.scale, self.spacing = scale, options.spacing << scale
-        _, columns, depth = grid_cells(*guide.shape, options, scale)
+        height, width = guide.shape
+        _, columns, depth = grid_cells(height, width, options, scale)
         self._rate = np.float32(GUIDE_RANGE / (options.depth_spacing * 2**scale))
         self._last = np.float32(depth - 2)  # the deepest cell that is the first of two
         # only the depths between the least and the greatest guide are kept
