@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -171,7 +171,7 @@ def grid_bytes(height: int, width: int, options: BilateralGrids) -> list[int]:
     return [16 * int(np.prod(shape)) for shape in cells]
 
 
-def _table(title: str, columns: Sequence[str], rows: dict[str, Sequence[float]]) -> str:
+def _table(title: str, columns: Sequence[str], rows: Mapping[str, Sequence[float]]) -> str:
     lines = [f"| {title} | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
     lines += [f"| {k} | " + " | ".join(f"{v:.4g}" for v in row) + " |" for k, row in rows.items()]
     return "\n".join(lines)
