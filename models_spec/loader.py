@@ -29,6 +29,8 @@ FEATURES = (
     "normal.x", "normal.y", "normal.z", "depth",
     "previous.r", "previous.g", "previous.b", "previous.valid",
 )  # fmt: skip
+#: exp of twice the bound of logits, times a window, must stay far inside float32 (3e38).
+MAX_LOGIT = 40
 BUFFERS = ("color", "albedo", "normal", "depth", "motion", "color_b", "jitter")
 
 
@@ -90,6 +92,9 @@ class ImportanceNetwork:
     branches: tuple[int, ...]  # kernel sizes trained side by side and fused for inference
     identity: bool  # an identity branch where input and output widths agree (training only)
 
+    def __post_init__(self) -> None:
+        _branches(self.kernel_size, self.branches)
+
 
 @dataclass(frozen=True, kw_only=True)
 class FusedKernels:
@@ -98,6 +103,10 @@ class FusedKernels:
     kernel_sizes: tuple[int, ...]  # pixels, odd, one importance map each
     logit_bound: float  # importance and fusion logits are clipped to +- this, (0, 40]
     weigh_samples: bool  # multiply importance by the samples that a pixel holds
+
+    def __post_init__(self) -> None:
+        _odd(self.kernel_sizes)
+        _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +122,20 @@ class PyramidNetwork:
     branches: tuple[int, ...]  # kernel sizes trained side by side and fused for inference
     identity: bool  # an identity branch where input and output widths agree (training only)
 
+    def __post_init__(self) -> None:
+        _branches(self.kernel_size, self.branches)
+        levels = len(self.widths)
+        for key, count in (
+            ("encoder_blocks", levels),
+            ("decoder_blocks", levels - 1),
+            ("concatenate", levels - 1),
+        ):
+            if len(getattr(self, key)) != count:
+                raise SpecError(
+                    f"network.{key} must have {count} entries for {levels} widths, "
+                    f"got {getattr(self, key)}"
+                )
+
 
 @dataclass(frozen=True, kw_only=True)
 class PyramidKernels:
@@ -120,6 +143,42 @@ class PyramidKernels:
 
     kernel_sizes: tuple[int, ...]  # pixels of each level, odd, one importance map each
     logit_bound: float  # logits are clipped to +- this, (0, 20]
+
+    def __post_init__(self) -> None:
+        _odd(self.kernel_sizes)
+        _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuideNetwork:
+    """GuideNet: two convolutions, or a dense block between them (Meng et al. 2020, figure 2)."""
+
+    features: tuple[str, ...]  # input planes by name
+    width: int  # output channels of the first block
+    dense_layers: int  # blocks that each see all before them, 0: none
+    growth: int  # output channels of each of those
+    kernel_size: int  # pixels, odd
+    branches: tuple[int, ...]  # kernel sizes trained side by side and fused for inference
+    identity: bool  # an identity branch where input and output widths agree (training only)
+
+    def __post_init__(self) -> None:
+        _branches(self.kernel_size, self.branches)
+        _within("network.dense_layers", self.dense_layers, 0, 64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BilateralGrids:
+    """Bilateral grids at one or several scales (Meng et al. 2020, eq. 8 to 15)."""
+
+    grids: int  # one a scale; every scale doubles the rates
+    spacing: int  # pixels from cell to cell of the finest grid, along x and y
+    depth_spacing: float  # and along its guide, of which there are 255
+    weigh_samples: bool  # splat a pixel by the samples that it holds
+
+    def __post_init__(self) -> None:
+        _within("decoder.grids", self.grids, 1, 5)
+        _within("decoder.spacing", self.spacing, 1, 64)
+        _within("decoder.depth_spacing", self.depth_spacing, 1, 255)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,8 +211,8 @@ class ModelSpec:
     demodulate: Demodulate
     transfer: Transfer
     temporal: Temporal
-    network: ImportanceNetwork | PyramidNetwork
-    decoder: FusedKernels | PyramidKernels
+    network: ImportanceNetwork | PyramidNetwork | GuideNetwork
+    decoder: FusedKernels | PyramidKernels | BilateralGrids
     training: Training
 
     def __post_init__(self) -> None:
@@ -164,14 +223,7 @@ class ModelSpec:
             _one_of("inputs", name, BUFFERS)
         for name in self.network.features:
             _one_of("network.features", name, FEATURES)
-        for size in (*self.decoder.kernel_sizes, *self.network.branches, self.transfer.local_size):
-            if size < 1 or size % 2 == 0:
-                raise SpecError(f"kernel sizes must be odd and positive, got {size}")
-        if max(self.network.branches) != self.network.kernel_size:
-            raise SpecError(
-                "network.branches must have network.kernel_size "
-                f"({self.network.kernel_size}) as their largest, got {self.network.branches}"
-            )
+        _odd((self.transfer.local_size,))
         _within("demodulate.floor", self.demodulate.floor, 1e-6, 1)
         _within("demodulate.black", self.demodulate.black, 0, self.demodulate.floor)
         _within("transfer.middle", self.transfer.middle, 1e-6, 1e6)
@@ -180,20 +232,6 @@ class ModelSpec:
         _within("temporal.outlier_ratio", self.temporal.outlier_ratio, 1e-3, 1e9)
         _within("temporal.normal_cosine", self.temporal.normal_cosine, -1, 1)
         _within("temporal.depth_ratio", self.temporal.depth_ratio, 1e-6, 1e6)
-        # exp of twice the bound times a window must stay far inside float32 (3e38)
-        _within("decoder.logit_bound", self.decoder.logit_bound, 1e-3, 40)
-        if isinstance(self.network, PyramidNetwork):
-            levels = len(self.network.widths)
-            for key, count in (
-                ("encoder_blocks", levels),
-                ("decoder_blocks", levels - 1),
-                ("concatenate", levels - 1),
-            ):
-                if len(getattr(self.network, key)) != count:
-                    raise SpecError(
-                        f"network.{key} must have {count} entries for {levels} widths, "
-                        f"got {getattr(self.network, key)}"
-                    )
 
     def to_json(self) -> str:
         """The spec as JSON text, as it is embedded in a model file."""
@@ -203,6 +241,7 @@ class ModelSpec:
 FAMILIES = {
     "weight-sharing-kernels": Family(ImportanceNetwork, FusedKernels),
     "kernel-pyramid": Family(PyramidNetwork, PyramidKernels),
+    "bilateral-grids": Family(GuideNetwork, BilateralGrids),
 }
 
 
@@ -265,6 +304,21 @@ def _value(hint: Any, value: Any, path: str) -> Any:
     if isinstance(hint, types.UnionType) or type(value) is not hint:
         raise SpecError(f"{path} must be of type {hint.__name__}, got {value!r}")
     return value
+
+
+def _odd(sizes: Iterable[int]) -> None:
+    for size in sizes:
+        if size < 1 or size % 2 == 0:
+            raise SpecError(f"kernel sizes must be odd and positive, got {size}")
+
+
+def _branches(kernel_size: int, branches: tuple[int, ...]) -> None:
+    _odd(branches)
+    if max(branches) != kernel_size:
+        raise SpecError(
+            f"network.branches must have network.kernel_size ({kernel_size}) as their largest, "
+            f"got {branches}"
+        )
 
 
 def _one_of(key: str, value: str, known: Iterable[str]) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillray import kernels, pyramid
+from stillray import grid, kernels, pyramid
 from stillray.models_spec.loader import ModelSpec
 from stillray.prepare import Prepared
 from stillray.strips import Strips
@@ -70,5 +70,13 @@ FAMILIES = {
         recalls=True,
         renews=True,
         method=pyramid.method,
+    ),
+    "bilateral-grids": Family(
+        grid.reconstruct,
+        lambda spec: 1,
+        grid.reach,
+        recalls=False,
+        renews=False,
+        method=grid.method,
     ),
 }

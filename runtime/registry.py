@@ -42,7 +42,7 @@ def list_models() -> list[ModelInfo]:
     --------
     >>> import stillray
     >>> [model.name for model in stillray.list_models()]
-    ['kpyr-5', 'wskp-3', 'wskp-6']
+    ['kpyr-5', 'nbg-2x1', 'nbg-2x3', 'wskp-3', 'wskp-6']
     """
     folder = Path(str(resources.files("stillray.models")))
     return [
@@ -131,12 +131,13 @@ def tuned(
     """
     spec = info.spec
     if kernels is not None:
-        sizes = spec.decoder.kernel_sizes if isinstance(spec.decoder, FusedKernels) else ()
-        if not 1 <= kernels <= len(sizes):
+        fused = spec.decoder if isinstance(spec.decoder, FusedKernels) else None
+        sizes = fused.kernel_sizes if fused else ()
+        if fused is None or not 1 <= kernels <= len(sizes):
             raise InputError(
                 f"kernels must be 1 to the {len(sizes)} that {info.name} fuses, got {kernels}"
             )
-        spec = replace(spec, decoder=replace(spec.decoder, kernel_sizes=sizes[:kernels]))
+        spec = replace(spec, decoder=replace(fused, kernel_sizes=sizes[:kernels]))
     if max_samples is not None:
         if max_samples < 1:
             raise InputError(f"max_samples must be 1 or more, got {max_samples:g}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stillray.models_spec.loader import FusedKernels, PyramidKernels, Temporal
+from stillray.models_spec.loader import BilateralGrids, FusedKernels, PyramidKernels, Temporal
 
 
 def fused_kernels(
@@ -143,6 +143,43 @@ def kernel_pyramid(
             shares.append(weights[0][-10 + index, y, x])
         resolved[y, x] = np.average(choices, axis=0, weights=shares)
     return resolved
+
+
+def bilateral_grids(mean: np.ndarray, maps: np.ndarray, options: BilateralGrids) -> np.ndarray:
+    """Meng et al. 2020, eq. 9 to 15, a pixel and a cell at a time; arrays as the runtime's."""
+    height, width = mean.shape[:2]
+    maps = np.clip(maps.astype(np.float64), 0, 1)
+    light = mean[..., :3].astype(np.float64)
+    samples = mean[..., 3].astype(np.float64) if options.weigh_samples else np.ones((height, width))
+    result, rest = np.zeros((height, width, 3)), np.ones((height, width))
+    for scale in range(options.grids):
+        rate = 2**scale
+        spacing = np.array([options.spacing, options.spacing, options.depth_spacing]) * rate
+        sums: dict[tuple[int, ...], np.ndarray] = {}
+        weights: dict[tuple[int, ...], float] = {}
+        for y, x in np.ndindex(height, width):
+            for cell, weight in _tent(np.array([y, x, 255 * maps[scale, y, x]]) / spacing):
+                weight *= samples[y, x]
+                sums[cell] = sums.get(cell, np.zeros(3)) + weight * light[y, x]
+                weights[cell] = weights.get(cell, 0.0) + weight
+        share = rest * (maps[options.grids + scale] if scale < options.grids - 1 else 1)
+        rest = rest - share
+        for y, x in np.ndindex(height, width):
+            total, found = np.zeros(3), 0.0
+            for cell, weight in _tent(np.array([y, x, 255 * maps[scale, y, x]]) / spacing):
+                if weights[cell] > 0:
+                    total += weight * sums[cell] / weights[cell]
+                    found += weight
+            if found > 0:
+                result[y, x] += share[y, x] * total / found
+    return result
+
+
+def _tent(place: np.ndarray) -> list[tuple[tuple[int, ...], float]]:
+    """The eight cells around a place, and their weights."""
+    first = np.floor(place).astype(int)
+    cells = [tuple(first + step) for step in np.ndindex(2, 2, 2)]
+    return [(c, float(np.maximum(1 - np.abs(place - np.array(c)), 0).prod())) for c in cells]
 
 
 def _window(light: np.ndarray, weight: np.ndarray, y: int, x: int, half: int) -> np.ndarray:

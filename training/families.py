@@ -9,10 +9,12 @@ from typing import Any
 from torch import Tensor, nn
 
 from stillray.models_spec import ModelSpec
-from stillray.models_spec.loader import FusedKernels, PyramidKernels
+from stillray.models_spec.loader import BilateralGrids, FusedKernels, PyramidKernels
+from stillray.training.decoders.bilateral_grids import bilateral_grids
 from stillray.training.decoders.boxes import BoxMean
 from stillray.training.decoders.fused_kernels import fused_kernels
 from stillray.training.decoders.pyramid import kernel_pyramid, renewed, resolve
+from stillray.training.networks.guide import GuideNet
 from stillray.training.networks.importance import ImportanceNet
 from stillray.training.networks.pyramid import PyramidNet
 
@@ -34,12 +36,17 @@ class Family:
         The tensors that `decode` takes.
     modulates
         Whether `decode` gives radiance; otherwise irradiance, to be multiplied by the divisor.
+    leak
+        Share of the brightest light within reach that the rounding of a network's outputs may
+        move to a pixel. Weights that are products of positive numbers are rounded in proportion,
+        and move nothing.
     """
 
     network: Callable[[ModelSpec], nn.Module]
     decode: Callable[[Any, Mapping[str, Tensor], ModelSpec, BoxFilter], Tensor]
     inputs: tuple[str, ...]
     modulates: bool
+    leak: float = 0.0
 
     def radiance(self, outputs: Any, batch: Mapping[str, Tensor], spec: ModelSpec) -> Tensor:
         """The ``(n, 3, h, w)`` radiance that a network's outputs stand for."""
@@ -65,6 +72,11 @@ def _pyramid(
     )
 
 
+def _grids(maps: Tensor, batch: Mapping[str, Tensor], spec: ModelSpec, box: BoxFilter) -> Tensor:
+    assert isinstance(spec.decoder, BilateralGrids)
+    return bilateral_grids(batch["irradiance"], batch["samples"], maps, spec.decoder)
+
+
 #: By the name that specifications use.
 FAMILIES = {
     "weight-sharing-kernels": Family(
@@ -75,5 +87,13 @@ FAMILIES = {
         _pyramid,
         inputs=("irradiance", "samples", "new", "worth", "divisor", "previous", "valid"),
         modulates=True,
+    ),
+    "bilateral-grids": Family(
+        GuideNet,
+        _grids,
+        inputs=("irradiance", "samples"),
+        modulates=False,
+        # a guide is rounded to a few millionths of a cell, 1e-5 of the brightest cell beside it
+        leak=0.1,
     ),
 }

@@ -17,7 +17,7 @@ import numpy as np
 
 from stillray.families import FAMILIES
 from stillray.frame import Frame
-from stillray.models_spec.loader import ModelSpec, PyramidKernels
+from stillray.models_spec.loader import BilateralGrids, FusedKernels, ModelSpec, PyramidKernels
 from stillray.profiling.machine import Peaks
 from stillray.registry import ModelInfo
 from stillray.session import open_session
@@ -77,7 +77,8 @@ def _each_pixel(spec: ModelSpec, frame: Frame) -> dict[str, tuple[float, float]]
     features = len(spec.network.features)
     buffers = sum(_CHANNELS[name] for name in frame.given if name in _CHANNELS)
     local = 3 + _WINDOW_SUM + 1  # tone map, window, scale
-    operations, planes = (_pyramid if isinstance(spec.decoder, PyramidKernels) else _kernels)(spec)
+    reconstruction = {FusedKernels: _kernels, PyramidKernels: _pyramid, BilateralGrids: _grids}
+    operations, planes = reconstruction[type(spec.decoder)](spec)
     return {
         "repair": (2 * buffers, buffers),
         # limit, divide and luminance; color and albedo are in the cache, which repair has read
@@ -96,6 +97,7 @@ def _each_pixel(spec: ModelSpec, frame: Frame) -> dict[str, tuple[float, float]]
 
 
 def _kernels(spec: ModelSpec) -> tuple[float, float]:
+    assert isinstance(spec.decoder, FusedKernels)
     maps = len(spec.decoder.kernel_sizes)
     # two exponentials, importance, sums of it and of three channels, the share, three additions
     one = 2 * _EXP + 1 + 3 + 4 * _WINDOW_SUM + 1 + 3 * 2 + 1
@@ -118,6 +120,21 @@ def _pyramid(spec: ModelSpec) -> tuple[float, float]:
         planes += share * (logits + 4 + 4)  # light read and the level's result written
     resolve = 9 * (1 + 3 * 2) + 3 + 3  # eight neighbours and the past; normalised, modulated
     return operations + resolve, planes
+
+
+def _grids(spec: ModelSpec) -> tuple[float, float]:
+    from stillray.grid import grid_cells
+
+    assert isinstance(spec.decoder, BilateralGrids)
+    operations, planes = 3.0, 4.0 + 3.0  # modulated; light and image
+    for scale in range(spec.decoder.grids):
+        spacing = spec.decoder.spacing << scale
+        cells = grid_cells(1, 1, spec.decoder, scale)[2] / spacing  # of a slab, a pixel
+        corners = 2 * (2 - 1 / spacing)  # those beside a pixel in its row's slab, one depth or two
+        # splatted, added up; interpolated, read; guide, two depths, share and blend of each channel
+        operations += 2 * (corners * 4 * 2) + cells * 4 * (4 + 3) + 10 + 4 * 8
+        planes += 2 * (1 + 4 + 4 * cells) + 1
+    return operations, planes
 
 
 def _network(info: ModelInfo, height: int, width: int) -> Work:
