@@ -122,9 +122,10 @@ def plan_tiles(shape: tuple[int, int], spec: ModelSpec, max_memory: int | None) 
         The memory does not hold the buffers of the whole frame and one small tile.
     """
     height, width = shape
-    halo, multiple = overlap(spec), FAMILIES[spec.family].multiple(spec)
+    multiple = FAMILIES[spec.family].multiple(spec)
     if max_memory is None:
-        return tiles_of(shape, max(shape), halo, multiple)
+        return tiles_of(shape, max(shape), 0, multiple)
+    halo = overlap(spec)
     fixed = BASE_BYTES + FRAME_BYTES * height * width
     least = min(max(_LEAST_INNER, halo) + 2 * halo, max(shape))
     needed = fixed + TILE_BYTES * min(least, height) * min(least, width)
