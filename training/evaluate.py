@@ -41,14 +41,14 @@ Written by `python -m stillray.training.evaluate VALIDATION --report docs/result
 each sequence, 640x360, 1 sample per pixel; six frames are accumulated where a method remembers
 them, and "one frame" says where not. PSNR, SSIM and FLIP after exposure to a median of 0.2 and a
 power of 1 / 2.2, SMAPE and relative MSE of exposed radiance. No model was trained on these scenes;
-the outlier ratio and the albedo floor of the specs were chosen on them, and the training of kpyr-5
-was watched on them, so read these figures as validation, not as a test. SVGF (Schied et al. 2017)
-and BMFR (Koskela et al. 2019) are our own implementations in `training/peers`, with published
-parameters, which remember frames too. OIDN is
-Open Image Denoise with albedo and normal, fed the raw frame, or the frame as accumulated for our
-kernels. Flicker is the mean absolute error of the tone-mapped difference between the last two
-frames. FovVideoVDP (Mantiuk et al. 2021) sees the same two frames, at 30 frames a second after a
-still of the first, on a 24-inch Full HD monitor of 200 cd/m², 38 pixels a degree, not foveated.
+the weights of accumulation and the albedo floor of the specs were chosen on them, and the training
+of kpyr-5 was watched on them, so read these figures as validation, not as a test. SVGF (Schied et
+al. 2017) and BMFR (Koskela et al. 2019) are our own implementations in `training/peers`, with
+published parameters, which remember frames too. OIDN is Open Image Denoise with albedo and normal,
+fed the raw frame, or the frame as accumulated for our kernels. The bilateral grids (nbg) had 1200
+short steps only. Flicker is the mean absolute error of the tone-mapped difference between the last
+two frames. FovVideoVDP (Mantiuk et al. 2021) sees the same two frames, at 30 frames a second after
+a still of the first, on a 24-inch Full HD monitor of 200 cd/m², 38 pixels a degree, not foveated.
 
 """
 
