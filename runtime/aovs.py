@@ -107,7 +107,9 @@ def filter_layers(
             past = history.layers[name]
             mean = accumulated(past.mean, light)
             if past.output is not None:
-                previous = recall.recall(past.output, prepared.motion, strips)
+                previous = recall.forget_uncovered(
+                    recall.recall(past.output, prepared.motion, strips), prepared
+                )
         own = replace(
             prepared,
             history=replace(prepared.history, mean=mean),

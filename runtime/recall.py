@@ -13,6 +13,7 @@ from stillray.timing import timed
 
 # Shares of the four taps that lie in the frame: below the first, light fades instead of being
 # normalised; above the second, only rounding is missing.
+_AROUND = np.ones((3, 3), np.uint8)
 _LEAST_VALID, _WHOLE = np.float32(1e-3), np.float32(1 - 1e-3)
 
 
@@ -33,7 +34,34 @@ def recalled(
         return None
     with timed(timings, "recall"):
         out = None if kept is None else kept.array("recalled", history.output.shape)
-        return recall(history.output, prepared.motion, strips, out)
+        past = recall(history.output, prepared.motion, strips, out)
+        return forget_uncovered(past, prepared)
+
+
+def forget_uncovered(past: np.ndarray, prepared: Prepared) -> np.ndarray:
+    """The recalled output without what the frame has just uncovered: zeros there.
+
+    Where no tap of the history was accepted, nor around, the surface was not seen before, and what
+    the last output shows there is another one. Thin lines of such pixels are edges of surfaces,
+    which the samples of a frame meet on either side: they keep their past.
+
+    Parameters
+    ----------
+    past : (h, w, 4) float32
+        See `recall`; not changed.
+    prepared
+        The frame, with its ``sample``; without that nothing is forgotten.
+    """
+    if prepared.sample is None:
+        return past
+    # what holds this frame's sample alone had no past
+    lost = prepared.history.mean[..., 3] <= prepared.sample[..., 3]
+    uncovered = cv2.morphologyEx(lost.view(np.uint8), cv2.MORPH_OPEN, _AROUND).view(bool)
+    if not uncovered.any():
+        return past
+    past = past.copy()
+    past[uncovered] = 0
+    return past
 
 
 def remember(image: np.ndarray, spare: History | None = None) -> np.ndarray:
@@ -52,8 +80,8 @@ def recall(
 ) -> np.ndarray:
     """Follow the motion back into the previous output.
 
-    No geometry is compared: the edges of an output are smooth, as those of a photograph are, and
-    the network decides by what it sees how much of the past a pixel keeps.
+    No geometry is compared here: the edges of an output are smooth, as those of a photograph are,
+    and the network decides by what it sees how much of the past a pixel keeps.
 
     Parameters
     ----------

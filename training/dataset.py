@@ -110,7 +110,9 @@ def previous_outputs(sequence: Path, model: Path, strips: Strips) -> list[np.nda
             denoiser.reset()
             for frame in frames[-count:-1]:
                 denoiser.denoise(frame)
-            prepared = prepare(frames[-1], denoiser.model.spec, denoiser.history, strips, {})
+            prepared = prepare(
+                frames[-1], denoiser.model.spec, denoiser.history, strips, {}, wants_sample=True
+            )
             previous = recalled(denoiser.history, prepared, strips, {})
             remembered.append(
                 np.zeros((*frames[-1].shape, 4), np.float32) if previous is None else previous
