@@ -21,8 +21,9 @@ from stillray.errors import InputError
 from stillray.families import Family
 from stillray.frame import Frame
 from stillray.models_spec.loader import ModelSpec
-from stillray.prepare import History, LayerPast, Prepared
+from stillray.prepare import History, LayerPast, Prepared, rough_blocks
 from stillray.repair import fill, repair_radiance
+from stillray.scratch import Scratch
 from stillray.strips import Strips, interleave, planes_of
 
 _ROUNDING = 1e-5  # relative: what a factor may differ from 1 by rounding alone
@@ -107,9 +108,8 @@ def filter_layers(
             past = history.layers[name]
             mean = accumulated(past.mean, light)
             if past.output is not None:
-                previous = recall.forget_uncovered(
-                    recall.recall(past.output, prepared.motion, strips), prepared
-                )
+                previous = recall.recall(past.output, prepared.motion, strips)
+                previous = recall.forget_uncovered(previous, past.output, prepared)
         own = replace(
             prepared,
             history=replace(prepared.history, mean=mean),
@@ -151,7 +151,7 @@ def _accumulation(
     motion, before, now = prepared.motion, history.guides, prepared.history.guides
     rough: np.ndarray | None = None
     if before is not None and now is not None and motion.any():
-        rough = _rough_blocks(before, strips)
+        rough = rough_blocks(before, strips, Scratch())
 
     def accumulated(mean: np.ndarray, light: np.ndarray) -> np.ndarray:
         result = np.empty_like(mean)
@@ -171,10 +171,3 @@ def _accumulation(
         return result
 
     return accumulated
-
-
-def _rough_blocks(packed: np.ndarray, strips: Strips) -> np.ndarray:
-    height, width = packed.shape[:2]
-    rough = np.empty((height + 1, width + 1), np.uint8)
-    strips.run(lambda rows: rep.rough_blocks(packed, rows, rough, strips.scratch), height, width)
-    return rough

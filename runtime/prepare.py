@@ -167,7 +167,7 @@ def prepare(
     if history is not None and buffers.motion is not None:
         with timed(timings, "warp"):
             if guides is not None and history.guides is not None and buffers.motion.any():
-                rough = _rough_blocks(history.guides, strips, kept)
+                rough = rough_blocks(history.guides, strips, kept)
 
     def warp(rows: slice, motion: np.ndarray, past: History, scratch: Scratch) -> np.ndarray:
         positions: np.ndarray | None = None
@@ -288,7 +288,8 @@ def _local_luminance(
     strips.run(work, height, width, pixels=FILTER_PIXELS)
 
 
-def _rough_blocks(packed: np.ndarray, strips: Strips, kept: Scratch) -> np.ndarray:
+def rough_blocks(packed: np.ndarray, strips: Strips, kept: Scratch) -> np.ndarray:
+    """`stillray.reproject.rough_blocks` of a whole frame's guides; the result lies in ``kept``."""
     height, width = packed.shape[:2]
     rough = kept.array("rough", (height + 1, width + 1), np.uint8)
 

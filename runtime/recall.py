@@ -35,10 +35,10 @@ def recalled(
     with timed(timings, "recall"):
         out = None if kept is None else kept.array("recalled", history.output.shape)
         past = recall(history.output, prepared.motion, strips, out)
-        return forget_uncovered(past, prepared)
+        return forget_uncovered(past, history.output, prepared)
 
 
-def forget_uncovered(past: np.ndarray, prepared: Prepared) -> np.ndarray:
+def forget_uncovered(past: np.ndarray, output: np.ndarray, prepared: Prepared) -> np.ndarray:
     """The recalled output without what the frame has just uncovered: zeros there.
 
     Where no tap of the history was accepted, nor around, the surface was not seen before, and what
@@ -48,7 +48,9 @@ def forget_uncovered(past: np.ndarray, prepared: Prepared) -> np.ndarray:
     Parameters
     ----------
     past : (h, w, 4) float32
-        See `recall`; not changed.
+        What `recall` gave; written and returned, but where it is ``output`` itself a copy is.
+    output : (h, w, 4) float32
+        The last output, which belongs to the history; not changed.
     prepared
         The frame, with its ``sample``; without that nothing is forgotten.
     """
@@ -59,7 +61,8 @@ def forget_uncovered(past: np.ndarray, prepared: Prepared) -> np.ndarray:
     uncovered = cv2.morphologyEx(lost.view(np.uint8), cv2.MORPH_OPEN, _AROUND).view(bool)
     if not uncovered.any():
         return past
-    past = past.copy()
+    if past is output:
+        past = past.copy()
     past[uncovered] = 0
     return past
 
