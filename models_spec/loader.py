@@ -27,7 +27,7 @@ FEATURES = (
     "sample.luminance", "local_luminance", "samples",
     "albedo.r", "albedo.g", "albedo.b", "albedo.luminance",
     "normal.x", "normal.y", "normal.z", "depth",
-    "previous.r", "previous.g", "previous.b", "previous.valid",
+    "previous.r", "previous.g", "previous.b", "previous.luminance", "previous.valid",
 )  # fmt: skip
 #: exp of twice the bound of logits, times a window, must stay far inside float32 (3e38).
 MAX_LOGIT = 40
@@ -191,11 +191,19 @@ class Training:
     learning_rate: float  # Adam, cosine decay to 1 % of it
     smape_epsilon: float  # Fan et al. 2021, eq. 6, in exposed radiance
     display_weight: float  # weight of the error as displayed beside SMAPE, >= 0
+    structure_weight: float  # weight of one minus the structural similarity, >= 0
+    steady_weight: float  # weight of the change against the previous output, >= 0
+    quiet_share: float  # share of patches of little noise and a few fireflies, [0, 1]
     history_from: int  # step from which previous outputs are given; 0: the model takes none
     history_every: int  # steps between renewals of those outputs
     drop_feature: float  # probability that albedo, normal or depth is withheld from a patch
     exposure_stops: float  # exposure is varied by +- this
     seed: int
+
+    def __post_init__(self) -> None:
+        for key in ("display_weight", "structure_weight", "steady_weight"):
+            _within(f"training.{key}", getattr(self, key), 0, 1e3)
+        _within("training.quiet_share", self.quiet_share, 0, 1)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,7 @@ _REC709 = np.array([[0.2126, 0.7152, 0.0722, 0]], np.float32)
 _ALBEDO = ("albedo.r", "albedo.g", "albedo.b")
 _NORMAL = ("normal.x", "normal.y", "normal.z")
 _PREVIOUS = ("previous.r", "previous.g", "previous.b", "previous.valid")
+_PREVIOUS_LUMINANCE = "previous.luminance"
 _BLOCK = 8  # pixels: blocks whose means give the frame's typical irradiance
 
 
@@ -205,11 +206,18 @@ def previous_planes(
         Where temporaries lie, if given.
     """
     plane = dict(zip(features, out, strict=True))
-    asked = [name for name in _PREVIOUS if name in plane]
+    asked = [name for name in (*_PREVIOUS, _PREVIOUS_LUMINANCE) if name in plane]
     if previous is None:
         for name in asked:
             plane[name].fill(0)
-    elif asked:
+        return
+    if _PREVIOUS_LUMINANCE in asked:
+        asked.remove(_PREVIOUS_LUMINANCE)
+        light = luminance(previous, out=(target := plane[_PREVIOUS_LUMINANCE]))
+        if divisor is not None:
+            light = np.divide(light, luminance(divisor), out=target)
+        np.sqrt(tone_map(light, exposure, out=target), out=target)
+    if asked:
         scratch = scratch or Scratch()
         planes = planes_of(previous, out=scratch.array("previous", (4, *previous.shape[:2])))
         for name in asked:

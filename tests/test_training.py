@@ -64,14 +64,26 @@ def test_only_finished_sequences_are_learned_from(data):
 
 
 def test_examples_hold_one_sample_a_few_and_more(data, small):
-    examples = list(load_examples(find_sequences(data)[0], small, Strips(1)))
+    examples = load_examples(find_sequences(data)[0], small, Strips(1))
     held = [float(np.median(example.mean[..., 3])) for example in examples]
-    assert len(held) == len(STARTS)
+    assert len(held) == len(STARTS) + 1
     assert held[0] <= 1 < held[1]
+    assert [example.quiet for example in examples] == [False] * len(STARTS) + [True]
+    assert held[-1] <= 1
+
+
+def test_quiet_patches_come_as_often_as_asked(data, small):
+    examples = load_examples(find_sequences(data)[0], small, Strips(1))
+    for share, expected in ((0.0, False), (1.0, True)):
+        recipe = dataclasses.replace(small.training, quiet_share=share)
+        sampler = PatchSampler(examples, dataclasses.replace(small, training=recipe))
+        batch = sampler.batch(1)
+        noise = np.abs(batch.irradiance * batch.divisor - batch.reference)
+        assert (np.median(noise) < 0.1 * batch.reference.mean()) == expected
 
 
 def test_a_batch_depends_on_seed_and_step_only(data, small):
-    examples = list(load_examples(find_sequences(data)[0], small, Strips(1)))
+    examples = load_examples(find_sequences(data)[0], small, Strips(1))
     first, again = (PatchSampler(examples, small).batch(5) for _ in range(2))
     np.testing.assert_array_equal(first.features, again.features)
     other = PatchSampler(examples, small).batch(6)
@@ -81,7 +93,7 @@ def test_a_batch_depends_on_seed_and_step_only(data, small):
 
 def test_augmentation_keeps_target_and_input_together(data, small):
     # the mean of many noisy samples is the reference, whatever the turn, order, gain and albedo
-    examples = list(load_examples(find_sequences(data)[0], small, Strips(1)))
+    examples = load_examples(find_sequences(data)[0], small, Strips(1))
     ratios = []
     for step in range(20):
         batch = PatchSampler(examples, small).batch(step)
@@ -106,7 +118,7 @@ def test_training_lowers_the_loss_and_resumes_where_it_stopped(data, small, tmp_
     with (tmp_path / "parts" / "log.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [int(row["step"]) for row in rows] == sorted({int(row["step"]) for row in rows})
-    examples = list(load_examples(find_sequences(data)[0], small, Strips(1)))
+    examples = load_examples(find_sequences(data)[0], small, Strips(1))
     batch = PatchSampler(examples, small).batch(999)
     torch.manual_seed(small.training.seed)
     before = train.reconstruct_loss(train.FAMILIES[small.family].network(small), batch, small)

@@ -7,7 +7,7 @@ starting frames: pixels then hold one sample, a few, or many.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from stillray.models_spec import ModelSpec
 from stillray.prepare import History, prepare
 from stillray.recall import recalled
 from stillray.strips import Strips
+from stillray.training.quiet import quiet_frame
 from stillray.training.simulate.sequence import is_complete
 
 STARTS = (1, 3, 8)  # frames accumulated before the last one is learned from
@@ -41,6 +42,7 @@ class Example:
     depth_unit: float
     previous: np.ndarray  # (h, w, 4) radiance of the previous output, and how much of it is valid
     reference: np.ndarray  # (h, w, 3) radiance
+    quiet: bool = False  # see `stillray.training.quiet`
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,15 +66,19 @@ def find_sequences(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.is_dir() and is_complete(path))
 
 
-def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> Iterator[Example]:
-    """The last frame of a sequence, accumulated from each of the starting frames."""
+def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Example]:
+    """The last frame of a sequence, accumulated from each of the starting frames; then, quiet."""
     (reference_path,) = sorted(sequence.glob("ref_*.exr"))[-1:]
-    paths = sorted(sequence.glob("frame_*.exr"))
-    frames = [read_exr(path) for path in paths]
+    frames = [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
     reference = read_exr(reference_path).color
-    for count in STARTS:
+    # of its own for every sequence, the same every time
+    rng = np.random.default_rng([spec.training.seed, zlib.crc32(sequence.name.encode())])
+    runs = [frames[-count:] for count in STARTS]
+    runs.append([quiet_frame(frames[-1], reference, rng)])
+    examples: list[Example] = []
+    for run in runs:
         history: History | None = None
-        for frame in frames[-count:]:
+        for frame in run:
             prepared = prepare(frame, spec, history, strips, {}, wants_sample=True)
             history = prepared.history
         assert history is not None
@@ -80,18 +86,23 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> Iterator[E
         assert prepared.albedo is not None
         assert prepared.normal is not None
         assert prepared.depth is not None
-        yield Example(
-            mean=history.mean,
-            sample=history.mean if prepared.sample is None else prepared.sample,
-            exposure=history.exposure,
-            divisor=prepared.divisor,
-            albedo=prepared.albedo,
-            normal=prepared.normal,
-            depth=prepared.depth,
-            depth_unit=prepared.depth_unit,
-            previous=np.zeros_like(history.mean),
-            reference=reference,
+        shared = examples[0] if examples else None  # one frame: its features are held once
+        examples.append(
+            Example(
+                mean=history.mean,
+                sample=history.mean if prepared.sample is None else prepared.sample,
+                exposure=history.exposure,
+                divisor=shared.divisor if shared else prepared.divisor,
+                albedo=shared.albedo if shared else prepared.albedo,
+                normal=shared.normal if shared else prepared.normal,
+                depth=shared.depth if shared else prepared.depth,
+                depth_unit=prepared.depth_unit,
+                previous=np.broadcast_to(np.float32(0), history.mean.shape),
+                reference=reference,
+                quiet=len(examples) == len(STARTS),
+            )
         )
+    return examples
 
 
 def previous_outputs(sequence: Path, model: Path, strips: Strips) -> list[np.ndarray]:
@@ -126,13 +137,16 @@ class PatchSampler:
     Parameters
     ----------
     examples
-        What to draw from.
+        What to draw from; may be replaced one by one between batches.
     spec
         The model's specification.
     """
 
     def __init__(self, examples: list[Example], spec: ModelSpec) -> None:
+        # places, not examples: those are replaced when previous outputs are renewed
         self._examples = examples
+        self._noisy = [place for place, one in enumerate(examples) if not one.quiet]
+        self._quiet = [place for place, one in enumerate(examples) if one.quiet]
         self._spec = spec
 
     def batch(self, step: int) -> Batch:
@@ -144,8 +158,10 @@ class PatchSampler:
 
     def _patch(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
         size = self._spec.training.patch
+        quiet = rng.random() < self._spec.training.quiet_share
+        places = self._quiet if quiet else self._noisy
         for _ in range(8):  # look for a patch in which there is something to learn
-            example = self._examples[rng.integers(len(self._examples))]
+            example = self._examples[places[rng.integers(len(places))]]
             height, width = example.reference.shape[:2]
             top, left = (_offset(rng, length - size) for length in (height, width))
             window = (slice(top, top + size), slice(left, left + size))

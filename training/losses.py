@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 # Light below which the display curve is taken as straight: its slope at 0 would be infinite.
 _TOE = 1e-3
 # Exposed irradiance has its typical value at a quarter and surfaces reflect half of it: this
 # brings radiance to where `stillray.display.display_exposure` puts it.
 _DISPLAY_GAIN = 2.0
+_WINDOW = 7  # pixels of a window of structural similarity
+_C1, _C2 = 0.01**2, 0.03**2  # Wang et al. 2004: keep its ratios finite in even windows
+_CLOSE = 0.05  # of the display's range
 
 
 def smape(image: Tensor, reference: Tensor, epsilon: float) -> Tensor:
@@ -34,6 +39,43 @@ def displayed_error(image: Tensor, reference: Tensor) -> Tensor:
         Exposed radiance of one shape, >= 0.
     """
     return (_displayed(image) - _displayed(reference)).abs().mean()
+
+
+def dissimilarity(image: Tensor, reference: Tensor) -> Tensor:
+    """One minus the structural similarity of what a screen would show.
+
+    differs: Wang et al. 2004 weigh a window by a Gaussian of 11 pixels; here it is a plain mean of
+    7, as `skimage.metrics.structural_similarity` takes it, of the channels' mean alone.
+
+    Parameters
+    ----------
+    image, reference
+        Exposed radiance ``(n, 3, h, w)``, 7 pixels or more each way, >= 0.
+    """
+    a, b = (_displayed(part).mean(1, keepdim=True) for part in (image, reference))
+    moments = F.avg_pool2d(torch.cat([a, b, a * a, b * b, a * b], 1), _WINDOW, stride=1)
+    mean_a, mean_b, aa, bb, ab = moments.unbind(1)
+    both = mean_a * mean_b
+    squares = mean_a * mean_a + mean_b * mean_b
+    likeness = (2 * both + _C1) * (2 * (ab - both) + _C2)
+    return (1 - likeness / ((squares + _C1) * (aa + bb - squares + _C2))).mean()
+
+
+def unsteadiness(image: Tensor, reference: Tensor, previous: Tensor, valid: Tensor) -> Tensor:
+    """Mean change of what a screen would show, where the previous output was as good as right.
+
+    A previous output further than `_CLOSE` from the reference pulls ever less: the light moved.
+
+    Parameters
+    ----------
+    image, reference, previous
+        Exposed radiance ``(n, 3, h, w)``, >= 0.
+    valid : (n, 1, h, w)
+        How much of the previous output lay in the frame.
+    """
+    before = _displayed(previous)
+    close = valid * (-(before - _displayed(reference)).abs() / _CLOSE).exp()
+    return (close * (_displayed(image) - before).abs()).mean()
 
 
 def _displayed(exposed: Tensor) -> Tensor:

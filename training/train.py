@@ -37,7 +37,7 @@ from stillray.training.dataset import (
     previous_outputs,
 )
 from stillray.training.families import FAMILIES
-from stillray.training.losses import displayed_error, smape
+from stillray.training.losses import displayed_error, dissimilarity, smape, unsteadiness
 
 CHECKPOINT = "checkpoint.safetensors"
 STARTED_FROM = "started_from.json"  # the model whose weights were taken over, if any
@@ -58,6 +58,13 @@ def reconstruct_loss(network: nn.Module, batch: Batch, spec: ModelSpec) -> Tenso
     loss = smape(image, reference, spec.training.smape_epsilon)
     if spec.training.display_weight:
         loss = loss + spec.training.display_weight * displayed_error(image, reference)
+    if spec.training.structure_weight:
+        loss = loss + spec.training.structure_weight * dissimilarity(image, reference)
+    if spec.training.steady_weight:
+        previous = take["previous"] * take["exposure"]
+        loss = loss + spec.training.steady_weight * unsteadiness(
+            image, reference, previous, take["valid"]
+        )
     return loss
 
 
@@ -175,7 +182,7 @@ def _recall(
     task = progress.add_task("recall", total=len(sequences))
     for index, sequence in enumerate(sequences):
         for place, previous in enumerate(previous_outputs(sequence, model, Strips(1))):
-            at = index * len(STARTS) + place
+            at = index * (len(STARTS) + 1) + place  # the quiet one has no past
             examples[at] = dataclasses.replace(examples[at], previous=previous)
         progress.advance(task)
     progress.remove_task(task)

@@ -1,0 +1,53 @@
+"""Frames of little noise and a few fireflies, which one sample a pixel never shows.
+
+A network that has only met noise takes a lone firefly in a clean picture for light, and a clean
+picture for noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from stillray.frame import Frame
+
+_NOISE = (0.0, 0.1, 0.25, 0.5)  # shares of the frame's noise that are kept
+_MOST = 2e-4  # fireflies a pixel
+_BRIGHTER = (1.0, 6.0)  # powers of ten above the frame's median
+_SIZES = ((1, 2, 3), (0.6, 0.25, 0.15))  # edges of clusters in pixels, and how often they come
+
+
+def quiet_frame(frame: Frame, reference: np.ndarray, rng: np.random.Generator) -> Frame:
+    """A frame with part of its noise taken away, and fireflies put in.
+
+    Parameters
+    ----------
+    frame
+        A noisy frame; its motion is dropped, since the frames before it are not quiet.
+    reference : (h, w, 3)
+        Its radiance without noise.
+    rng
+        Draws how much noise is left, and the fireflies: single pixels and clusters, of one colour
+        or white.
+
+    Returns
+    -------
+    Frame
+    """
+    noise = np.float32(rng.choice(_NOISE))
+    color = reference + noise * (np.nan_to_num(frame.color) - reference)
+    height, width = frame.shape
+    usual = float(np.median(reference.mean(axis=-1))) or 1.0
+    # clusters keep their shape where they meet the border
+    mask = np.zeros((height, width, 3), np.float32)
+    for _ in range(rng.poisson(rng.random() * _MOST * height * width)):
+        size = int(rng.choice(_SIZES[0], p=_SIZES[1]))
+        tint = rng.random(3) ** 2 if rng.random() < 0.5 else np.ones(3)
+        light = usual * 10 ** rng.uniform(*_BRIGHTER) * tint
+        corner = int(rng.integers(width)), int(rng.integers(height))
+        end = corner[0] + size - 1, corner[1] + size - 1
+        cv2.rectangle(mask, corner, end, light.tolist(), cv2.FILLED)
+    color = np.where(mask > 0, mask, color)
+    return replace(frame, color=color.astype(np.float32), motion=None)
