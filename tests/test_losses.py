@@ -7,7 +7,7 @@ import pytest
 import torch
 from skimage.metrics import structural_similarity
 
-from stillray.training.losses import dissimilarity, displayed_error, unsteadiness
+from stillray.training.losses import displayed_error, dissimilarity, unsteadiness
 
 
 def _nchw(seed: int) -> torch.Tensor:
