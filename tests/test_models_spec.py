@@ -74,7 +74,8 @@ def test_a_pyramid_names_the_list_that_is_too_short():
 
 def test_unknown_model_lists_those_there_are():
     with pytest.raises(
-        SpecError, match=r"one of kpyr-5, kpyr-5s, nbg-2x1, nbg-2x3, nbg-7x3, wskp-3, wskp-6, got wskp-7"
+        SpecError,
+        match=r"one of kpyr-5, kpyr-5s, nbg-2x1, nbg-2x3, nbg-7x3, wskp-3, wskp-6, got wskp-7",
     ):
         load("wskp-7")
 
