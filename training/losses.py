@@ -46,7 +46,8 @@ def dissimilarity(image: Tensor, reference: Tensor) -> Tensor:
     """One minus the structural similarity of what a screen would show.
 
     differs: Wang et al. 2004 weigh a window by a Gaussian of 11 pixels; here it is a plain mean of
-    7, as `skimage.metrics.structural_similarity` takes it, at every fourth pixel, of the channels' mean alone.
+    7, as `skimage.metrics.structural_similarity` takes it, of the channels' mean alone, and windows
+    are taken at every fourth pixel.
 
     Parameters
     ----------
