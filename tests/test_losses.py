@@ -7,7 +7,7 @@ import pytest
 import torch
 from skimage.metrics import structural_similarity
 
-from stillray.training.losses import displayed_error, dissimilarity, unsteadiness
+from stillray.training.losses import displayed, dissimilarity, unsteadiness
 
 
 def _nchw(seed: int) -> torch.Tensor:
@@ -15,16 +15,15 @@ def _nchw(seed: int) -> torch.Tensor:
     return torch.from_numpy(rng.gamma(0.5, 0.3, (1, 3, 19, 23)).astype(np.float32))
 
 
-def _shown(exposed: torch.Tensor) -> np.ndarray:
-    # half a display's white is an exposed radiance of 1/4, see `stillray.display`
-    return ((2 * exposed).clamp(0, 1) + 1e-3).numpy() ** (1 / 2.2)
+def test_a_display_clips_at_twice_the_exposed_half_and_opens_the_dark():
+    shown = displayed(torch.tensor([0.0, 0.125, 0.5, 7.0]))
+    np.testing.assert_allclose(shown, [0.0, 0.25 ** (1 / 2.2), 1, 1], atol=0.05)
 
 
 def test_dissimilarity_is_one_minus_the_structural_similarity_of_the_mean_channel():
-    a, b = _nchw(1), _nchw(2)
+    a, b = displayed(_nchw(1)), displayed(_nchw(2))
     _, similarity = structural_similarity(
-        _shown(a)[0].mean(0).astype(np.float64),
-        _shown(b)[0].mean(0).astype(np.float64),
+        a[0].mean(0).double().numpy(), b[0].mean(0).double().numpy(),
         win_size=7, data_range=1, use_sample_covariance=False, full=True,
     )  # fmt: skip
     wanted = 1 - similarity[3:-3:4, 3:-3:4].mean()
@@ -33,18 +32,17 @@ def test_dissimilarity_is_one_minus_the_structural_similarity_of_the_mean_channe
 
 
 def test_unsteadiness_is_the_change_where_the_last_output_was_right():
-    reference, valid = _nchw(1), torch.ones(1, 1, 19, 23)
-    image = reference * 1.3
-    steady = unsteadiness(image, reference, reference, valid)
-    assert float(steady) == pytest.approx(float(displayed_error(image, reference)), rel=1e-6)
-    assert float(unsteadiness(image, reference, reference, 0 * valid)) == 0
+    wanted, valid = displayed(_nchw(1)), torch.ones(1, 1, 19, 23)
+    shown = wanted * 0.9
+    steady = float(unsteadiness(shown, wanted, wanted, valid))
+    assert steady == pytest.approx(float((shown - wanted).abs().mean()), rel=1e-6)
+    assert float(unsteadiness(shown, wanted, wanted, 0 * valid)) == 0
     # a light went on: what was shown before says nothing
-    assert float(unsteadiness(image, reference, 0 * reference, valid)) < 0.2 * float(steady)
+    assert float(unsteadiness(shown, wanted, 0 * wanted, valid)) < 0.2 * steady
 
 
 def test_losses_of_black_pixels_have_finite_gradients():
     image = torch.zeros(1, 3, 9, 9, requires_grad=True)
-    black = torch.zeros(1, 3, 9, 9)
-    loss = dissimilarity(image, black) + unsteadiness(image, black, black, black[:, :1] + 1)
-    loss.backward()
+    shown, black = displayed(image), displayed(torch.zeros(1, 3, 9, 9))
+    (dissimilarity(shown, black) + unsteadiness(shown, black, black, black[:, :1])).backward()
     assert torch.isfinite(image.grad).all()

@@ -31,19 +31,13 @@ def smape(image: Tensor, reference: Tensor, epsilon: float) -> Tensor:
     return ((image - reference).abs() / (image.abs() + reference.abs() + epsilon)).mean()
 
 
-def displayed_error(image: Tensor, reference: Tensor) -> Tensor:
-    """Mean absolute error of what a screen would show: clipped, with a power of 1 / 2.2.
-
-    Parameters
-    ----------
-    image, reference
-        Exposed radiance of one shape, >= 0.
-    """
-    return (_displayed(image) - _displayed(reference)).abs().mean()
+def displayed(exposed: Tensor) -> Tensor:
+    """What a screen would show of exposed radiance: clipped, with a power of 1 / 2.2, in [0, 1]."""
+    return ((exposed * _DISPLAY_GAIN).clamp(0, 1) + _TOE) ** (1 / 2.2)
 
 
-def dissimilarity(image: Tensor, reference: Tensor) -> Tensor:
-    """One minus the structural similarity of what a screen would show.
+def dissimilarity(shown: Tensor, wanted: Tensor) -> Tensor:
+    """One minus the structural similarity.
 
     differs: Wang et al. 2004 weigh a window by a Gaussian of 11 pixels; here it is a plain mean of
     7, as `skimage.metrics.structural_similarity` takes it, of the channels' mean alone, and windows
@@ -51,10 +45,10 @@ def dissimilarity(image: Tensor, reference: Tensor) -> Tensor:
 
     Parameters
     ----------
-    image, reference
-        Exposed radiance ``(n, 3, h, w)``, 7 pixels or more each way, >= 0.
+    shown, wanted
+        `displayed`, ``(n, 3, h, w)``, 7 pixels or more each way.
     """
-    a, b = (_displayed(part).mean(1, keepdim=True) for part in (image, reference))
+    a, b = (part.mean(1, keepdim=True) for part in (shown, wanted))
     moments = F.avg_pool2d(torch.cat([a, b, a * a, b * b, a * b], 1), _WINDOW, stride=_STRIDE)
     mean_a, mean_b, aa, bb, ab = moments.unbind(1)
     both = mean_a * mean_b
@@ -63,22 +57,17 @@ def dissimilarity(image: Tensor, reference: Tensor) -> Tensor:
     return (1 - likeness / ((squares + _C1) * (aa + bb - squares + _C2))).mean()
 
 
-def unsteadiness(image: Tensor, reference: Tensor, previous: Tensor, valid: Tensor) -> Tensor:
-    """Mean change of what a screen would show, where the previous output was as good as right.
+def unsteadiness(shown: Tensor, wanted: Tensor, before: Tensor, valid: Tensor) -> Tensor:
+    """Mean change where the previous output was as good as right.
 
     A previous output further than `_CLOSE` from the reference pulls ever less: the light moved.
 
     Parameters
     ----------
-    image, reference, previous
-        Exposed radiance ``(n, 3, h, w)``, >= 0.
+    shown, wanted, before
+        `displayed`, ``(n, 3, h, w)``: the image, the reference and the previous output.
     valid : (n, 1, h, w)
         How much of the previous output lay in the frame.
     """
-    before = _displayed(previous)
-    close = valid * (-(before - _displayed(reference)).abs() / _CLOSE).exp()
-    return (close * (_displayed(image) - before).abs()).mean()
-
-
-def _displayed(exposed: Tensor) -> Tensor:
-    return ((exposed * _DISPLAY_GAIN).clamp(0, 1) + _TOE) ** (1 / 2.2)
+    close = valid * (-(before - wanted).abs() / _CLOSE).exp()
+    return (close * (shown - before).abs()).mean()

@@ -37,7 +37,7 @@ from stillray.training.dataset import (
     previous_outputs,
 )
 from stillray.training.families import FAMILIES
-from stillray.training.losses import displayed_error, dissimilarity, smape, unsteadiness
+from stillray.training.losses import displayed, dissimilarity, smape, unsteadiness
 
 CHECKPOINT = "checkpoint.safetensors"
 STARTED_FROM = "started_from.json"  # the model whose weights were taken over, if any
@@ -55,16 +55,17 @@ def reconstruct_loss(network: nn.Module, batch: Batch, spec: ModelSpec) -> Tenso
     outputs = network(take["features"].contiguous(memory_format=torch.channels_last))
     image = FAMILIES[spec.family].radiance(outputs, take, spec) * take["exposure"]
     reference = take["reference"] * take["exposure"]
-    loss = smape(image, reference, spec.training.smape_epsilon)
-    if spec.training.display_weight:
-        loss = loss + spec.training.display_weight * displayed_error(image, reference)
-    if spec.training.structure_weight:
-        loss = loss + spec.training.structure_weight * dissimilarity(image, reference)
-    if spec.training.steady_weight:
-        previous = take["previous"] * take["exposure"]
-        loss = loss + spec.training.steady_weight * unsteadiness(
-            image, reference, previous, take["valid"]
-        )
+    recipe = spec.training
+    loss = smape(image, reference, recipe.smape_epsilon)
+    if recipe.display_weight or recipe.structure_weight or recipe.steady_weight:
+        shown, wanted = displayed(image), displayed(reference)
+        loss = loss + recipe.display_weight * (shown - wanted).abs().mean()
+        if recipe.structure_weight:
+            loss = loss + recipe.structure_weight * dissimilarity(shown, wanted)
+        if recipe.steady_weight:
+            before = displayed(take["previous"] * take["exposure"])
+            change = unsteadiness(shown, wanted, before, take["valid"])
+            loss = loss + recipe.steady_weight * change
     return loss
 
 

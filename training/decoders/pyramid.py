@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
 from stillray.models_spec.loader import PyramidKernels
-from stillray.pyramid import NEIGHBOURS, level_layout
+from stillray.pyramid import NEIGHBOURS, LevelLayout, level_layout
 from stillray.training.decoders.boxes import BoxMean
 
 
@@ -40,38 +42,53 @@ def kernel_pyramid(
     (n, 3, h, w)
     """
     levels = len(logits)
-    bounded = [
-        level.contiguous().clamp(-options.logit_bound, options.logit_bound) for level in logits
-    ]
     layouts = [level_layout(level, levels, options) for level in range(levels)]
+    maps = [_parts(level, layout, options) for level, layout in zip(logits, layouts, strict=True)]
     light, held = [irradiance_nchw], [samples_nchw]
-    for maps, layout in zip(bounded[:-1], layouts[:-1], strict=True):
-        importance = maps[:, layout.pool].exp()
+    for parts in maps[:-1]:
+        importance = parts.pool.exp()
         weight = importance * held[-1]
         pooled = F.avg_pool2d(torch.cat([weight * light[-1], weight, importance], 1), 2)
-        light.append(pooled[:, :3] / pooled[:, 3:4])
-        held.append(pooled[:, 3:4] / pooled[:, 4:])
+        weighted, total_weight, total = pooled.split((3, 1, 1), 1)
+        light.append(weighted / total_weight)
+        held.append(total_weight / total)
     result: Tensor | None = None
     for level in reversed(range(levels)):
-        maps, layout, own = bounded[level], layouts[level], light[level]
-        logit = maps[:, layout.blend]
+        own = light[level]
+        logit = maps[level].blend
         zero = torch.zeros_like(logit[:, :1])
         if result is None:
-            shares = torch.cat([zero, logit], 1).softmax(1)
-            total = shares[:, :1] * own
+            itself, *others = torch.cat([zero, logit], 1).softmax(1).split(1, 1)
+            total = itself * own
         else:
-            shares = torch.cat([logit, zero], 1).softmax(1)
-            total = shares[:, :1] * own + shares[:, -1:] * F.interpolate(
+            itself, *others, below = torch.cat([logit, zero], 1).softmax(1).split(1, 1)
+            total = itself * own + below * F.interpolate(
                 result, scale_factor=2.0, mode="bilinear", align_corners=False
             )
-        weights = maps[:, layout.importance].exp() * held[level]
-        for index, size in enumerate(options.kernel_sizes):
-            weight = weights[:, index : index + 1]
-            sums = box(torch.cat([weight * own, weight], 1), size)
-            total = total + shares[:, index + 1 : index + 2] * (sums[:, :3] / sums[:, 3:])
+        weights = (maps[level].importance.exp() * held[level]).split(1, 1)
+        for size, weight, share in zip(options.kernel_sizes, weights, others, strict=True):
+            sums, normal = box(torch.cat([weight * own, weight], 1), size).split((3, 1), 1)
+            total = total + share * (sums / normal)
         result = total
     assert result is not None
     return result
+
+
+class _Parts(NamedTuple):
+    """Bounded logits of one level, by what they are for; see `LevelLayout`."""
+
+    importance: Tensor
+    pool: Tensor
+    blend: Tensor
+    resolve: Tensor
+    renew: Tensor
+
+
+def _parts(logits_nchw: Tensor, layout: LevelLayout, options: PyramidKernels) -> _Parts:
+    # one split, not five slices: the gradient of a slice is a whole map of zeros
+    sizes = [part.stop - part.start for part in dataclasses.astuple(layout)]
+    bound = options.logit_bound
+    return _Parts(*logits_nchw.contiguous().clamp(-bound, bound).split(sizes, 1))
 
 
 def renewed(
@@ -104,8 +121,7 @@ def renewed(
     (n, 3, h, w), (n, 1, h, w)
         Irradiance, and the samples that it holds.
     """
-    layout = level_layout(0, 2, options)
-    more = logits_nchw[:, layout.renew].clamp(-options.logit_bound, options.logit_bound).exp()
+    more = _parts(logits_nchw, level_layout(0, 2, options), options).renew.exp()
     total = samples_nchw + more * worth_nchw
     light = (samples_nchw * irradiance_nchw + more * worth_nchw * new_nchw) / total
     return light, total / (1 + more)
@@ -137,13 +153,12 @@ def resolve(
     -------
     (n, 3, h, w)
     """
-    layout = level_layout(0, 2, options)
-    weights = logits_nchw[:, layout.resolve].clamp(-options.logit_bound, options.logit_bound).exp()
+    weights = _parts(logits_nchw, level_layout(0, 2, options), options).resolve.exp()
+    *near, past = weights.split(1, 1)
+    past = past * valid_nchw
     height, width = radiance_nchw.shape[2:]
     padded = F.pad(radiance_nchw, (1, 1, 1, 1), mode="replicate")
-    past = weights[:, -1:] * valid_nchw
     total = radiance_nchw + past * previous_nchw
-    for index, (down, right) in enumerate(NEIGHBOURS):
-        moved = padded[..., 1 + down : 1 + down + height, 1 + right : 1 + right + width]
-        total = total + weights[:, index : index + 1] * moved
-    return total / (1 + weights[:, :-1].sum(1, keepdim=True) + past)
+    for weight, (down, right) in zip(near, NEIGHBOURS, strict=True):
+        total = total + weight * padded[..., 1 + down : 1 + down + height, 1 + right :][..., :width]
+    return total / (1 + weights.sum(1, keepdim=True) - weights[:, -1:] + past)
