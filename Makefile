@@ -11,7 +11,8 @@ demo: $(RUNTIME)/.ready
 	$(RUNTIME)/bin/python -m stillray.demo tests/data/room demo_out
 
 test: $(FULL)/.ready
-	$(FULL)/bin/python -m pytest
+	@# files side by side, one process a core; a process with torch and Mitsuba takes 1 to 2 GiB
+	$(FULL)/bin/python -m pytest -n logical --maxprocesses 4 --dist loadfile
 
 check: $(FULL)/.ready
 	$(FULL)/bin/ruff check .
