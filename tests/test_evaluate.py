@@ -70,6 +70,14 @@ def test_peers_and_models_are_scored_on_every_scene(folder, capsys):
     assert "| SVGF | " in table
 
 
+def test_a_perfect_picture_is_estimated_from_the_references(folder):
+    pytest.importorskip("pyoidn")
+    scores = run(folder, peer=["oidn-fast"])
+    method = "OIDN fast, fed the references"
+    assert scores[method]["two"]["psnr"] > scores["OIDN fast"]["two"]["psnr"] + 3
+    assert scores[method]["two"]["flicker"] < 0.5 * scores["OIDN fast"]["two"]["flicker"]
+
+
 def test_flicker_needs_consecutive_references(folder, capsys):
     scores = run(folder)
     assert "flicker" in scores["SVGF"]["two"]

@@ -32,7 +32,7 @@ from stillray.frame import Frame
 from stillray.prepare import History, prepare
 from stillray.registry import find_model, list_models
 from stillray.strips import Strips
-from stillray.training.peers import PEERS, PeerDenoiser, find_peer
+from stillray.training.peers import PEERS, Peer, PeerDenoiser, find_peer
 
 Scores = dict[str, dict[str, dict[str, float]]]  # method -> scene -> metric -> value
 _REPORT_HEAD = """# Quality on validation
@@ -49,6 +49,8 @@ fed the raw frame, or the frame as accumulated for our kernels. The bilateral gr
 short steps only. Flicker is the mean absolute error of the tone-mapped difference between the last
 two frames. FovVideoVDP (Mantiuk et al. 2021) sees the same two frames, at 30 frames a second after
 a still of the first, on a 24-inch Full HD monitor of 200 cd/m², 38 pixels a degree, not foveated.
+References have noise of their own: "fed the references" is about what a perfect picture would
+score.
 
 """
 
@@ -116,13 +118,19 @@ def evaluate_scene(
     for peer in chosen:
         seen = frames if peer.remembers else frames[-count:]
         yield scored(peer.label, run_stream(peer.make(), seen, count)[0])
-    ready = [
-        dataclasses.replace(frame, color=color)
-        for frame, color in zip(frames[-count:], accumulated[-count:], strict=True)
-    ]
-    for peer in chosen:
-        if not peer.remembers:
-            yield scored(f"{peer.label}, accumulated", run_stream(peer.make(), ready, count)[0])
+
+    def fed(peer: Peer, colors: Sequence[np.ndarray]) -> list[np.ndarray]:
+        ready = [
+            dataclasses.replace(frame, color=color)
+            for frame, color in zip(frames[-count:], colors, strict=True)
+        ]
+        return run_stream(peer.make(), ready, count)[0]
+
+    forgetful = [peer for peer in chosen if not peer.remembers]
+    for peer in forgetful:
+        yield scored(f"{peer.label}, accumulated", fed(peer, accumulated[-count:]))
+    for peer in forgetful[:1]:
+        yield scored(f"{peer.label}, fed the references", fed(peer, references))
 
 
 def last_referenced(scene: Path) -> tuple[list[Path], list[np.ndarray]]:
