@@ -31,7 +31,7 @@ def compare(
     ] = None,
     title: Annotated[str | None, typer.Option(help="Heading of the page.")] = None,
     frames: Annotated[
-        str | None, typer.Option(help="Frames of sequences, as 10-80.", metavar="FIRST-LAST")
+        str | None, typer.Option(help="Frames of sequences, as 1,10-80,90-99x3.", metavar="RANGE")
     ] = None,
     crop: Annotated[
         str | None, typer.Option(help="Only this part, pixels.", metavar="X,Y,WIDTH,HEIGHT")

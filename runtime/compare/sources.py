@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stillray.errors import InputError
+from stillray.frame_range import parse_frames
 from stillray.sequence import expand
 
 _PLACEHOLDER = re.compile(r"[._-]*(?:#+|%\d*d)[._-]*")
-_RANGE = re.compile(r"(\d+)-(\d+)|(\d+)")
 _REFERENCE_LABEL = "reference"
 
 
@@ -52,7 +52,7 @@ def pair(
     labels
         Names of the images in their order; found in their paths where there are none.
     frames
-        ``"10-80"`` or ``"12"``: only these numbers.
+        Only these, see `stillray.frame_range.parse_frames`.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def pair(
     numbered = found[: len(images)]
     everywhere = set.intersection(*(set(files) for files in numbered))
     anywhere = set.union(*(set(files) for files in numbered))
-    wanted = _parse_range(frames)
+    wanted = None if frames is None else set(parse_frames(frames))
     chosen = sorted(n or 0 for n in everywhere if wanted is None or n in wanted)
     if not chosen:
         raise InputError(
@@ -106,16 +106,6 @@ def pair(
             )
         ),
     )
-
-
-def _parse_range(frames: str | None) -> range | None:
-    if frames is None:
-        return None
-    hit = _RANGE.fullmatch(frames.strip())
-    first, last = (hit[1] or hit[3], hit[2] or hit[3]) if hit else ("1", "0")
-    if int(last) < int(first):
-        raise InputError(f"--frames must be FIRST-LAST such as 10-80, got {frames}")
-    return range(int(first), int(last) + 1)
 
 
 def _labels(patterns: Sequence[str]) -> list[str]:
