@@ -357,10 +357,9 @@ def _blend(
         for plane, sums in zip(planes, out, strict=False):
             cv2.accumulateProduct(plane[rows], own, sums)
     normal = scratch.array("normal", shape)
-    np.add(shares[0], shares[1], out=normal)
-    for share in shares[2:]:
+    np.add(shares[0], 1, out=normal)
+    for share in shares[1:]:
         normal += share
-    normal += 1
     for index, (size, share) in enumerate(zip(options.kernel_sizes, others, strict=True)):
         near, inner = with_halo(rows, size // 2, height)
         strip = (near.stop - near.start, width)

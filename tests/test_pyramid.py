@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ OPTIONS = load("kpyr-5").decoder
 LEVELS = 3  # what is tested holds for any number; three keep the oracle quick
 
 
-def draw(height, width, seed=0, spread=2.0):
+def draw(height, width, seed=0, spread=2.0, options=OPTIONS):
     """Random decoder input: mean, sample, divisor, previous output, logits of the padded size."""
     rng = np.random.default_rng(seed)
     step = 1 << (LEVELS - 1)
@@ -29,7 +31,7 @@ def draw(height, width, seed=0, spread=2.0):
     )
     logits = [
         rng.normal(
-            size=(pyramid.level_logits(level, LEVELS, OPTIONS), *(s >> level for s in padded))
+            size=(pyramid.level_logits(level, LEVELS, options), *(s >> level for s in padded))
         )
         * spread
         for level in range(LEVELS)
@@ -46,6 +48,13 @@ def test_pyramid_equals_the_loop_oracle(height, width, spread):
     expected = oracles.kernel_pyramid(mean, sample, divisor, previous, logits, OPTIONS)
     # float32 sums of at most 25 products at each of three levels
     np.testing.assert_allclose(got, expected, rtol=5e-6)
+
+
+def test_one_kernel_a_level_equals_the_loop_oracle():
+    options = dataclasses.replace(OPTIONS, kernel_sizes=(5,))
+    inputs = draw(9, 14, options=options)
+    got = pyramid.filter_pyramid(*inputs, options, Strips(1))
+    np.testing.assert_allclose(got, oracles.kernel_pyramid(*inputs, options), rtol=5e-6)
 
 
 def test_threads_and_strips_do_not_change_the_picture():
