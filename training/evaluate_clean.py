@@ -38,8 +38,8 @@ def head(folder: Path) -> str:
 Written by `python -m stillray.training.evaluate_clean FOLDER --report docs/results-64spp.md`;
 `docs/simulator.md` says how the folder is rendered. Last frame of each sequence, {width}x{height},
 64 samples a pixel, {count} frame{"" if frames == [1] else "s"} a sequence; metrics and exposure
-as in `docs/results.md`. References have 1024 samples a pixel: 16 times the input, not more. No model
-was trained on these scenes.
+as in `docs/results.md`. References have 1024 samples a pixel: 16 times the input, not more.
+No model was trained on these scenes.
 
 Only {MODEL} was trained on 64 samples a pixel: {training["steps"]} steps, begun with the weights of
 {origin["model"]}, on the last frames of procedural sequences ({data}), whose references have 256
