@@ -12,7 +12,7 @@ pytest.importorskip("skimage")
 from stillray.compare import metrics
 from stillray.errors import InputError
 from stillray.exr import read_exr, write_channels
-from stillray.training import evaluate
+from stillray.training import evaluate, evaluate_clean
 from stillray.training.peers import PEERS, find_peer
 from tests.conftest import clean_color, make_frame
 
@@ -107,6 +107,17 @@ def test_a_peer_that_remembers_sees_the_frames_before(folder):
 
 def test_two_runs_give_the_same_scores(folder):
     assert run(folder) == run(folder)
+
+
+def test_the_page_of_clean_input_says_what_was_measured(folder, tmp_path):
+    page = tmp_path / "page.md"
+    evaluate_clean.main(folder, model=["nbg-2x1"], peer=["svgf"], report=page, pictures=None)
+    text = page.read_text()
+    assert "48x40" in text
+    assert "frames a sequence: 3 or 4" in text
+    assert "No model was trained on such frames" in text
+    rows = run(folder, model=["nbg-2x1"])
+    assert f"| nbg-2x1 | {evaluate.mean_scores(rows)['nbg-2x1']['psnr']:.2f} |" in text
 
 
 def test_no_peers_when_none_are_wanted(folder):

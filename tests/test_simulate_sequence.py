@@ -12,7 +12,7 @@ from dataclasses import replace
 from stillray.errors import InputError
 from stillray.exr import read_channels, read_exr
 from stillray.training.dataset import find_sequences
-from stillray.training.simulate import buffers, variant
+from stillray.training.simulate import buffers, trace, variant
 from stillray.training.simulate.jobs import Job, run_job
 from stillray.training.simulate.sequence import SequenceOptions, is_complete, render_sequence
 from stillray.training.simulate.variant import load_mitsuba
@@ -98,6 +98,77 @@ def test_a_finished_sequence_is_not_touched(stage, rendered):
     before = {path: path.stat().st_mtime_ns for path in rendered.iterdir()}
     render_sequence(stage, rendered, SMALL)
     assert {path: path.stat().st_mtime_ns for path in rendered.iterdir()} == before
+
+
+def test_frames_left_out_change_nothing_in_those_after_them(stage, rendered, tmp_path):
+    render_sequence(stage, tmp_path / "late", replace(SMALL, first=1))
+    written = {path.name for path in (tmp_path / "late").iterdir()}
+    assert written == {"frame_0001.exr", "ref_0001.exr", "sequence.json"}
+    one, two = (read_channels(f / "frame_0001.exr") for f in (rendered, tmp_path / "late"))
+    for channel, plane in one.items():
+        np.testing.assert_array_equal(plane, two[channel])
+
+
+def test_recorded_cameras_give_the_same_frames_again(stage, rendered, tmp_path):
+    again = replace(SMALL, cameras=str(rendered / "sequence.json"))
+    render_sequence(stage, tmp_path / "again", again)
+    one, two = (read_channels(f / "frame_0001.exr") for f in (rendered, tmp_path / "again"))
+    for channel, plane in one.items():  # motion too: it needs the camera of the frame before
+        np.testing.assert_allclose(plane, two[channel], rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{}", "cameras must be JSON with camera_to_world"),
+        ("no json", "cameras must be JSON with camera_to_world"),
+        ('{"frames": [{"camera_to_world": [1, 2]}], "fov_x_deg": 50}', "cameras must be JSON with"),
+        (None, "cameras must be a readable file"),
+    ],
+)
+def test_a_file_without_cameras_is_refused(stage, tmp_path, text, message):
+    file = tmp_path / "cameras.json"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(InputError, match=message):
+        render_sequence(stage, tmp_path / "out", replace(SMALL, cameras=str(file)))
+
+
+def test_too_few_recorded_cameras_are_refused(stage, rendered, tmp_path):
+    more = replace(SMALL, frames=3, cameras=str(rendered / "sequence.json"))
+    with pytest.raises(InputError, match="cameras must hold 3, got 2"):
+        render_sequence(stage, tmp_path / "out", more)
+
+
+def test_a_frame_of_several_launches_is_the_mean_of_all_their_samples(mi, stage, monkeypatch):
+    calls = []
+    original = buffers.first_hits
+
+    def keep(stage, pixels, *rest):
+        seen = original(stage, pixels, *rest)
+        calls.append((pixels, {name: values.copy() for name, values in seen.items()}))
+        return seen
+
+    monkeypatch.setattr(buffers, "first_hits", keep)
+    monkeypatch.setattr(trace, "_LANES", 2 * 24 * 32)
+    frame = buffers.render_noisy(stage, moment(), spp=5, seed=3)
+    assert [len(pixels) for pixels, _ in calls] == [2 * 24 * 32, 2 * 24 * 32, 24 * 32]
+    assert (calls[0][1]["color"] != calls[1][1]["color"]).any()  # not the same samples thrice
+    color, hits, normal = np.zeros((24 * 32, 3)), np.zeros(24 * 32), np.zeros((24 * 32, 3))
+    for pixels, seen in calls:
+        np.add.at(color, pixels, seen["color"] / 5)
+        np.add.at(hits, pixels, seen["hit"])
+        np.add.at(normal, pixels, seen["normal"] * seen["hit"][:, None])
+    np.testing.assert_allclose(frame["color"].reshape(-1, 3), color, rtol=1e-6, atol=1e-9)
+    assert ((frame["depth"].ravel() > 0) == (hits > 0)).all()
+    length = np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+    np.testing.assert_allclose(frame["normal"].reshape(-1, 3), normal / length, atol=1e-6)
+
+
+def test_a_depth_that_is_asked_for_takes_the_place_of_the_effects_own(mi):
+    plan = stage_of(mi, everything(), ("mirror_glass",), height=4, width=4, depth=3).plan
+    assert plan.depth == [(3, "option")]
+    assert plan.integrator.params["max_depth"] == 3
 
 
 def test_buffers_on_demand_are_written_only_on_demand(mi, rendered, tmp_path):
@@ -187,6 +258,9 @@ def test_jitter_shifts_what_the_pixels_see(mi, stage):
     [
         ({"spp": 0}, "spp must be 1 or more, got 0"),
         ({"frames": 2, "references": 3}, r"references must be 0 to frames \(2\), got 3"),
+        ({"frames": 2, "first": 2}, r"first must be 0 to frames - 1 \(1\), got 2"),
+        ({"depth": 0}, "depth must be 1 or more, got 0"),
+        ({"cameras": "a.json", "move": "still"}, "cameras must be given without origin and move"),
         ({"reference_scale": 3}, "reference_scale must be 1 or 2, got 3"),
         ({"guides": ("curvature",)}, "guides must be of roughness, specular_albedo, got curvature"),
         ({"move": "jump"}, "move must be of still, dolly, orbit, handheld, got jump"),

@@ -192,6 +192,24 @@ def test_another_model_s_weights_are_taken_over_by_the_names_of_features(data, s
     torch.testing.assert_close(second(again), first(planes))
 
 
+def test_a_deeper_guide_net_starts_as_the_shallow_one_and_learns_with_all_its_layers(
+    data, tmp_path
+):
+    shallow, deep = (
+        dataclasses.replace(spec, training=dataclasses.replace(spec.training, steps=1, patch=32))
+        for spec in (load("nbg-2x3"), load("nbg-7x3"))
+    )
+    first = train.train(shallow, [data], tmp_path / "first", save_every=1)
+    second = train.FAMILIES[deep.family].network(deep)
+    train.start_from(tmp_path / "first" / train.CHECKPOINT, second, deep)
+    planes = torch.rand(1, len(shallow.network.features), 9, 7)
+    torch.testing.assert_close(second(planes), first(planes))
+    sampler = PatchSampler(load_examples(find_sequences(data)[0], deep, Strips(1)), deep)
+    train.reconstruct_loss(second, sampler.batch(0), deep).backward()
+    added = [weight.grad for name, weight in second.leave.named_parameters() if weight.ndim == 4]
+    assert all(gradient[:, deep.network.width :].abs().sum() > 0 for gradient in added)
+
+
 def test_weights_that_do_not_fit_are_refused(data, small, tmp_path):
     short = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=1))
     train.train(short, [data], tmp_path, save_every=1)

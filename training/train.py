@@ -21,6 +21,7 @@ import typer
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from stillray.cli import program
 from stillray.errors import InputError
@@ -196,8 +197,9 @@ def start_from(checkpoint: Path, network: nn.Module, spec: ModelSpec) -> dict[st
     ----------
     checkpoint
         Of a model of the same family and widths; it may have read other features, which are
-        matched by name (those that it did not read begin with weights of 0), and have given fewer
-        logits (new ones are appended).
+        matched by name (those that it did not read begin with weights of 0), have given fewer
+        logits (new ones are appended), and have had fewer layers in its dense block (what new ones
+        add begins with weights of 0).
     network, spec
         What is to be trained.
 
@@ -231,6 +233,9 @@ def start_from(checkpoint: Path, network: nn.Module, spec: ModelSpec) -> dict[st
             matched = value[:, read]
             matched[:, [index < 0 for index in read]] = 0
             value = matched
+        if fits and value.ndim == 4 and name.startswith(getattr(network, "reads_added", " ")):
+            added = max(target.shape[1] - value.shape[1], 0)
+            value = F.pad(value, (0, 0, 0, 0, 0, added))
         if not fits or value.shape[1:] != target.shape[1:]:
             raise InputError(
                 f"start must have weights that fit {spec.name}, {checkpoint} does not: {name}"

@@ -21,6 +21,11 @@ class GuideNet(nn.Module):
         Its ``network`` gives features and widths; its ``decoder`` the number of grids.
     """
 
+    #: Beginning of the names of the weights that meet the features.
+    reads_features = "enter."
+    #: Of the weights that meet what the dense block adds, behind what was there without it.
+    reads_added = "leave."
+
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__()
         network = spec.network

@@ -61,6 +61,7 @@ def simulate(
         int, typer.Option("--seed", "--first-seed", help="Seed of the first scene.")
     ] = 0,
     frames: int = _DEFAULT.frames,
+    first: Annotated[int, typer.Option(help="Frames before it are left out.")] = _DEFAULT.first,
     height: int = _DEFAULT.height,
     width: int = _DEFAULT.width,
     spp: Annotated[int, typer.Option(help="Samples a pixel of the noisy frames.")] = _DEFAULT.spp,
@@ -68,6 +69,9 @@ def simulate(
     references: Annotated[
         int, typer.Option(help="How many of the last frames have a reference.")
     ] = _DEFAULT.references,
+    depth: Annotated[
+        int | None, typer.Option(help="Path vertices; default: what the effects ask for.")
+    ] = None,
     reference_scale: Annotated[int, typer.Option(help="1 or 2.")] = _DEFAULT.reference_scale,
     move: Annotated[str | None, typer.Option(help="still, dolly, orbit or handheld.")] = None,
     speed: Annotated[
@@ -80,6 +84,9 @@ def simulate(
         tuple[float, float, float] | None, typer.Option(help="What it looks at, metres.")
     ] = None,
     fov: Annotated[float, typer.Option(help="Horizontal, degrees; with --origin.")] = _DEFAULT.fov,
+    cameras: Annotated[
+        Path | None, typer.Option(help="JSON with a camera a frame, such as a sequence.json.")
+    ] = None,
     second_color: Annotated[bool, typer.Option(help="An independent second colour.")] = False,
     guides: Annotated[str, typer.Option(help="roughness,specular_albedo")] = "",
     jitter: Annotated[bool, typer.Option(help="Sub-pixel offset of each frame.")] = False,
@@ -104,9 +111,10 @@ def simulate(
         jobs = read_recipe(recipe)
     else:
         options = SequenceOptions(
-            frames=frames, height=height, width=width, spp=spp, reference_spp=reference_spp,
-            references=references, reference_scale=reference_scale, move=move, speed=speed,
-            origin=origin, target=target, fov=fov, second_color=second_color,
+            frames=frames, first=first, height=height, width=width, spp=spp,
+            reference_spp=reference_spp, references=references, depth=depth,
+            reference_scale=reference_scale, move=move, speed=speed, origin=origin, target=target,
+            fov=fov, cameras=str(cameras) if cameras else None, second_color=second_color,
             guides=_list(guides), jitter=jitter,
         )  # fmt: skip
         # seed by seed through all scenes: a run that is stopped early still holds every scene
@@ -150,7 +158,10 @@ def _run(
     )  # fmt: skip
     with Progress(*columns, console=Console(stderr=True)) as progress:
         if here:
-            total = sum(len(list(job.missing(folder))) * job.options.frames for job in jobs)
+            total = sum(
+                len(list(job.missing(folder))) * (job.options.frames - job.options.first)
+                for job in jobs
+            )
             bar = progress.add_task("frames", total=total)
             return run_here(jobs, folder, variant, lambda job: progress.advance(bar))
         bar = progress.add_task("scenes", total=len(jobs))

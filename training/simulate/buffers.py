@@ -9,7 +9,7 @@ import numpy as np
 from stillray.training.simulate.camera import Camera
 from stillray.training.simulate.paths import CameraPath
 from stillray.training.simulate.stage import Stage
-from stillray.training.simulate.trace import Samples, first_hits, radiance
+from stillray.training.simulate.trace import Samples, first_hits, launches, radiance
 
 SHUTTER_STRATA = 8  # of a noisy frame under motion blur
 REFERENCE_STRATA = 32  # of a reference under motion blur
@@ -49,7 +49,23 @@ def render_noisy(stage: Stage, moment: Moment, *, spp: int, seed: int) -> dict[s
     """
     height, width = stage.height, stage.width
     rng = np.random.default_rng([seed, 1])
-    count = height * width
+    sums: Samples = {}
+    for index, share in enumerate(launches(spp, height * width)):
+        # seeds of strata lie nearer together than those of launches
+        samples = _samples(stage, moment, share, seed + 1000 * index, rng)
+        # samples that hit nothing carry no normal
+        samples["normal"] = np.where(samples["hit"][:, None] > 0, samples["normal"], 0)
+        for name, values in samples.items():
+            part = values.reshape(height * width, share, *values.shape[1:]).sum(axis=1)
+            sums[name] = sums[name] + part if name in sums else part
+    return _resolve({name: values / spp for name, values in sums.items()}, height, width)
+
+
+def _samples(
+    stage: Stage, moment: Moment, spp: int, seed: int, rng: np.random.Generator
+) -> Samples:
+    """All samples of one launch, ``spp`` after ``spp`` for each pixel."""
+    count = stage.height * stage.width
     strata = SHUTTER_STRATA if stage.plan.shutter else 1
     times = shutter_times(moment.frame, stage.plan.shutter, strata, rng)
     pixels = np.repeat(np.arange(count), spp)
@@ -68,7 +84,7 @@ def render_noisy(stage: Stage, moment: Moment, *, spp: int, seed: int) -> dict[s
         seen["depth"], seen["motion"] = _motion(stage, seen, time, camera, moment.path(time - 1))
         for name, values in seen.items():
             merged.setdefault(name, np.zeros((pixels.size, *values.shape[1:])))[chosen] = values
-    return _resolve(merged, height, width, spp)
+    return merged
 
 
 def render_second(stage: Stage, moment: Moment, *, spp: int, seed: int) -> np.ndarray:
@@ -127,28 +143,20 @@ def _motion(
     return np.where(hit, depth, 0.0), motion
 
 
-def _resolve(samples: Samples, height: int, width: int, spp: int) -> dict[str, np.ndarray]:
-    """Means of each pixel's samples; depth and normal over those that hit something."""
-
-    def mean(name: str) -> np.ndarray:
-        values = samples[name]
-        return values.reshape(height * width, spp, *values.shape[1:]).mean(axis=1)
-
-    hits = np.maximum(mean("hit"), 1e-9)
-    # samples that hit nothing carry no normal
-    samples["normal"] = np.where(samples["hit"][:, None] > 0, samples["normal"], 0)
-    normal = mean("normal")
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+def _resolve(means: Samples, height: int, width: int) -> dict[str, np.ndarray]:
+    """Layers from the means of each pixel's samples; depth and normal over those that hit."""
+    hits = np.maximum(means["hit"], 1e-9)
+    length = np.linalg.norm(means["normal"], axis=-1, keepdims=True)
     layers = {
-        "color": mean("color"),
-        "albedo": np.clip(mean("albedo"), 0, 1),
-        "normal": np.divide(normal, length, out=np.zeros_like(normal), where=length > 1e-6),
-        "depth": mean("depth") / hits,
-        "motion": mean("motion"),
+        "color": means["color"],
+        "albedo": np.clip(means["albedo"], 0, 1),
+        "normal": np.divide(
+            means["normal"], length, out=np.zeros_like(means["normal"]), where=length > 1e-6
+        ),
+        "depth": means["depth"] / hits,
+        "motion": means["motion"],
     }
-    layers.update(
-        {name: mean(name) for name in ("roughness", "specular_albedo") if name in samples}
-    )
+    layers.update({name: means[name] for name in ("roughness", "specular_albedo") if name in means})
     return {
         name: np.asarray(values, np.float32).reshape(height, width, *values.shape[1:])
         for name, values in layers.items()

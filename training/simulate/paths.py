@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -75,5 +77,46 @@ def camera_path(
             return start
         at, target = aims[move](time)
         return Camera(to_world=look_at(at, target, up), fov_x=start.fov_x)
+
+    return path
+
+
+def recorded_path(file: Path, frames: int) -> CameraPath:
+    """The cameras of a JSON file, one a frame, such as the ``sequence.json`` of a sequence.
+
+    Parameters
+    ----------
+    file
+        Holds a list ``cameras``, or ``frames``, of objects with ``camera_to_world`` and, unless
+        the file has one for all, ``fov_x_deg``.
+    frames
+        How many are needed.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or does not hold that many cameras.
+    """
+    try:
+        record = json.loads(file.read_text(encoding="utf-8"))
+        cameras = [
+            Camera(
+                to_world=np.array(entry["camera_to_world"], float).reshape(4, 4),
+                fov_x=float(entry.get("fov_x_deg", record.get("fov_x_deg"))),
+            )
+            for entry in record.get("cameras") or record["frames"]
+        ]
+    except OSError as error:
+        raise InputError(f"cameras must be a readable file, got {file}: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(
+            f"cameras must be JSON with camera_to_world and fov_x_deg a frame, got {file}"
+        ) from None
+    if len(cameras) < frames:
+        raise InputError(f"cameras must hold {frames}, got {len(cameras)} in {file}")
+
+    def path(time: float) -> Camera:
+        # whole frames; the first has none before it and is seen as standing still
+        return cameras[max(round(time), 0)]
 
     return path

@@ -38,8 +38,11 @@ class Wants:
     guides: tuple[str, ...] = ()  # of GUIDES
     jitter: bool = False  # the image plane is shifted by a sub-pixel offset each frame
     reference_scale: int = 1  # references have so many times the width and height: 1 or 2
+    depth: int | None = None  # path vertices, 1 or more; None: what the effects ask for
 
     def __post_init__(self) -> None:
+        if self.depth is not None and self.depth < 1:
+            raise InputError(f"depth must be 1 or more, got {self.depth}")
         if unknown := sorted(set(self.guides) - set(GUIDES)):
             raise InputError(f"guides must be of {', '.join(GUIDES)}, got {', '.join(unknown)}")
         if self.reference_scale not in (1, 2):
@@ -144,6 +147,8 @@ def make_plan(
         sensor = effect.sensor(world, sensor)
     depth = [(BASE_DEPTH, BASE)]
     depth += [(effect.extra_depth, effect.name) for effect in active if effect.extra_depth]
+    if wants.depth is not None:
+        depth = [(wants.depth, OPTION)]
     volumetric = [effect.name for effect in active if effect.volumetric]
     integrator = Node(
         plugin="volpath" if volumetric else "path",

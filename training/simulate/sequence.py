@@ -16,7 +16,7 @@ from stillray.exr import atomic_path, write_channels
 from stillray.training.simulate import buffers
 from stillray.training.simulate.camera import Camera, look_at
 from stillray.training.simulate.generators import GENERATORS, generate
-from stillray.training.simulate.paths import MOVES, CameraPath, camera_path
+from stillray.training.simulate.paths import MOVES, CameraPath, camera_path, recorded_path
 from stillray.training.simulate.plan import Plan, Wants, make_plan
 from stillray.training.simulate.stage import Stage
 from stillray.training.simulate.viewpoint import find_path, require_open
@@ -45,11 +45,13 @@ class SequenceOptions:
     """What to render."""
 
     frames: int = 8  # 1 or more
+    first: int = 0  # frames before it are not rendered, 0 to frames - 1
     height: int = 256  # pixels, 1 or more
     width: int = 256  # pixels, 1 or more
     spp: int = 1  # samples a pixel of the noisy frames, 1 or more
     reference_spp: int = 256  # samples a pixel of the references, 1 or more
     references: int = 1  # the last so many frames have a reference, 0 to frames
+    depth: int | None = None  # path vertices, 1 or more; None: what the effects ask for
     reference_scale: int = 1  # references are so many times as wide and high: 1 or 2
     speed: float = 0.008  # camera move a frame, as a fraction of the distance looked at, 0 or more
     move: str | None = None  # of `paths.MOVES`; None: drawn
@@ -59,6 +61,7 @@ class SequenceOptions:
     origin: tuple[float, float, float] | None = None  # of the camera, metres; None: drawn
     target: tuple[float, float, float] | None = None  # what the camera at origin looks at
     fov: float = 60.0  # horizontal field of view of the camera at origin, degrees, 1 to 170
+    cameras: str | None = None  # JSON file of a camera a frame, see `paths.recorded_path`
     seed: int = 0  # 0 or more
 
     def __post_init__(self) -> None:
@@ -68,6 +71,8 @@ class SequenceOptions:
         for name in ("speed", "seed"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} must be 0 or more, got {getattr(self, name)}")
+        if not 0 <= self.first < self.frames:
+            raise InputError(f"first must be 0 to frames - 1 ({self.frames - 1}), got {self.first}")
         if not 0 <= self.references <= self.frames:
             raise InputError(
                 f"references must be 0 to frames ({self.frames}), got {self.references}"
@@ -78,6 +83,8 @@ class SequenceOptions:
             raise InputError("origin and target must be given together, got one of them")
         if self.origin is not None and self.origin == self.target:
             raise InputError(f"target must differ from origin, got {self.target} for both")
+        if self.cameras is not None and (self.origin is not None or self.move is not None):
+            raise InputError("cameras must be given without origin and move, got both")
         if not 1 <= self.fov <= 170:
             raise InputError(f"fov must be 1 to 170 degrees, got {self.fov:g}")
         self.wants()
@@ -89,6 +96,7 @@ class SequenceOptions:
             guides=self.guides,
             jitter=self.jitter,
             reference_scale=self.reference_scale,
+            depth=self.depth,
         )
 
 
@@ -150,6 +158,8 @@ def render_sequence(
         return
     rng = np.random.default_rng([options.seed, 77])
     move = options.move or str(rng.choice(MOVES, p=_MOVE_ODDS))
+    if options.cameras is not None:
+        move = "recorded"
     speed = (
         options.speed
         if options.move
@@ -160,7 +170,7 @@ def render_sequence(
     folder.mkdir(parents=True, exist_ok=True)
     _sweep(folder)
     jitters = [_jitter(frame) if options.jitter else np.zeros(2) for frame in range(options.frames)]
-    for frame in range(options.frames):
+    for frame in range(options.first, options.frames):
         moment = buffers.Moment(frame=frame, path=path, focus=focus, jitter=jitters[frame])
         _render_frame(stage, folder, options, moment)
         on_frame()
@@ -189,6 +199,11 @@ def render_sequence(
 def _path(
     stage: Stage, rng: np.random.Generator, options: SequenceOptions, move: str, speed: float
 ) -> tuple[CameraPath, float]:
+    if options.cameras is not None:
+        if stage.plan.shutter:
+            raise InputError("cameras must go without motion_blur: they are known at whole frames")
+        recorded = recorded_path(Path(options.cameras), options.frames)
+        return recorded, require_open(stage, recorded, options.frames)
     if options.origin is None or options.target is None:
         return find_path(stage, rng, frames=options.frames, move=move, speed=speed)
     origin, target = np.array(options.origin, float), np.array(options.target, float)

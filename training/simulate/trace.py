@@ -63,7 +63,7 @@ def radiance(stage: Stage, sensor: Any, spp: int, seed: int) -> np.ndarray:
     mi = stage.mi
     width, height = (int(v) for v in np.array(sensor.film().size()))
     total = np.zeros((height, width, 3))
-    for index, count in enumerate(_launches(spp, height * width)):
+    for index, count in enumerate(launches(spp, height * width)):
         if "scalar" in mi.variant():
             # its own loop over the film runs on all cores; from Python it would run on one
             part = stage.reference_integrator.render(
@@ -76,7 +76,8 @@ def radiance(stage: Stage, sensor: Any, spp: int, seed: int) -> np.ndarray:
     return np.asarray(total / spp, np.float32)
 
 
-def _launches(spp: int, pixels: int) -> Iterator[int]:
+def launches(spp: int, pixels: int) -> Iterator[int]:
+    """Samples a pixel of each launch: as few launches as memory allows."""
     most = max(1, _LANES // pixels)
     while spp > 0:
         yield min(spp, most)
