@@ -92,7 +92,8 @@ def denoise(
         int | None,
         typer.Option(
             help="Run so many frames before the first one too, without writing them, so that it "
-            "has a history: for a part of a shot. Where a run is resumed, 32 unless given."
+            "has a history: for a part of a shot. In chunks, and where a run is resumed, 32 unless "
+            "given; with 16 or fewer, a step may be seen where chunks meet."
         ),
     ] = None,
     scheduler: Annotated[
@@ -111,8 +112,7 @@ def denoise(
     chunk: Annotated[
         int | None,
         typer.Option(
-            help=f"Frames of a chunk, {CHUNK_FRAMES} unless given. Each is run with the frames of "
-            "--warm-up before it, 32 unless given."
+            help=f"Frames of a chunk, {CHUNK_FRAMES} unless given; those of --warm-up come on top."
         ),
     ] = None,
     threads: Annotated[
