@@ -49,7 +49,7 @@ def dask_processes(folder: Path, workers: int) -> Iterator[tuple[str, list[subpr
             process.wait()
 
 
-def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+def wait_for(condition: Callable[[], bool], seconds: float = 300.0) -> None:
     """Return as soon as a condition holds; fail if it never does."""
     end = time.monotonic() + seconds
     while not condition():

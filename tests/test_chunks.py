@@ -169,7 +169,7 @@ def test_a_killed_worker_loses_nothing(shot, capsys):
         assert main([*command, "-o", "clean.##.exr", "--scheduler", address]) == 0
         killer.join()
         *frames, summary = map(json.loads, capsys.readouterr().out.splitlines())
-        assert workers[0].wait() == -signal.SIGKILL
+        assert workers[0].wait(timeout=60) == -signal.SIGKILL
         # what was finished when it died is the same file still
         assert stamps
         assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
