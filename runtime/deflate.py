@@ -27,7 +27,11 @@ from stillray.strips import available_threads
 
 _LEVEL = 4  # as OpenEXR has it: smaller files take much longer
 _PREFIX = struct.Struct("<ii")  # of a chunk: its first row, and the bytes that follow
-_STORED: dict[str, np.dtype] = {"half": np.dtype("<f2"), "float": np.dtype("<f4"), "uint": np.dtype("<u4")}
+_STORED: dict[str, np.dtype] = {
+    "half": np.dtype("<f2"),
+    "float": np.dtype("<f4"),
+    "uint": np.dtype("<u4"),
+}
 _HALF = np.finfo(np.float16)
 _MOST_THREADS = 8  # inflating is soon bound by memory
 
