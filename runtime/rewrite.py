@@ -1,8 +1,9 @@
 """A copy of an EXR file with some channels replaced and every other byte of picture untouched.
 
 Parts that are not replaced are copied chunk by chunk without being decoded; so are all headers,
-attribute by attribute. A part that holds a replaced channel is decoded and encoded again, a band
-of rows at a time, with its own types, compression, tiles and windows.
+attribute by attribute. A part that holds a replaced channel is unpacked and packed again, some
+rows at a time, with its own types, compression, tiles and windows; its other channels keep their
+bytes where that packing is deflate or none, see `stillray.deflate`.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from stillray.container import (
     read_container,
     string_attribute,
 )
+from stillray.deflate import is_plain, replace_planes
 from stillray.errors import InputError
 from stillray.openimageio import opened, openimageio, reason
 
@@ -83,10 +85,16 @@ def rewrite(
             part = parts[number]
             planes = {name: plane for (at, name), plane in replaced.items() if at == number}
             encoded[number] = target.with_name(f"{target.name}.{number}.part")
-            part = _encodable(source, part)
-            clamped += _encode(source, number, part, planes, encoded[number])
-            fresh = read_container(encoded[number])
-            parts[number], chunks[number] = part, _in_line_order(part, fresh)
+            if is_plain(part, planes):
+                chunks[number], beyond = replace_planes(
+                    source, part, chunks[number], planes, encoded[number]
+                )
+            else:
+                part = _encodable(source, part)
+                beyond = _encode(source, number, part, planes, encoded[number])
+                fresh = read_container(encoded[number])
+                parts[number], chunks[number] = part, _in_line_order(part, fresh)
+            clamped += beyond
         for number in {0, *changed}:
             parts[number] = _with_attributes(parts[number], added)
         with target.open("wb") as sink:

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-import subprocess
-import sys
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -20,6 +16,7 @@ from stillray.exr import read_channels
 from stillray.training.simulate.farm import run_farm, run_here
 from stillray.training.simulate.jobs import Job
 from stillray.training.simulate.sequence import SequenceOptions, is_complete
+from tests.dask_processes import dask_processes, wait_for
 
 OPTIONS = SequenceOptions(frames=2, height=16, width=20, reference_spp=16)
 JOBS = [
@@ -29,53 +26,10 @@ JOBS = [
 
 
 @pytest.fixture
-def start():
-    """Starts processes of Dask, which end with the test."""
-    processes = []
-
-    def run(*args):
-        environment = {**os.environ, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "10s"}
-        processes.append(
-            subprocess.Popen(
-                [sys.executable, "-m", "distributed.cli." + args[0], *args[1:], "--no-dashboard"],
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                env=environment,
-            )
-        )
-        return processes[-1]
-
-    yield run
-    for process in processes:
-        process.kill()
-        process.wait()
-
-
-@pytest.fixture
-def scheduler(start, tmp_path):
-    """A scheduler and two workers as processes of their own: address and workers."""
-    contact = tmp_path / "scheduler.json"
-    start("dask_scheduler", "--port", "0", "--host", "127.0.0.1", "--scheduler-file", str(contact))
-
-    def announced():
-        # the file is there before it is written
-        return contact.is_file() and contact.read_text().rstrip().endswith("}")
-
-    wait_for(announced)
-    address = json.loads(contact.read_text())["address"]
-    options = ("--nthreads", "1", "--no-nanny")
-    workers = [
-        start("dask_worker", address, *options, "--local-directory", str(tmp_path / f"worker{i}"))
-        for i in range(2)
-    ]
-    return address, workers
-
-
-def wait_for(condition, seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.05)
+def scheduler(tmp_path):
+    """A scheduler's address and its two workers."""
+    with dask_processes(tmp_path, workers=2) as running:
+        yield running
 
 
 def test_a_killed_worker_loses_nothing_and_nothing_is_rendered_twice(scheduler, tmp_path):
@@ -101,7 +55,7 @@ def test_a_killed_worker_loses_nothing_and_nothing_is_rendered_twice(scheduler, 
     killer.join()
     assert failures == {}
     assert sorted(done) == list(range(6))
-    assert workers[0].wait() == -signal.SIGKILL
+    assert workers[0].wait(timeout=60) == -signal.SIGKILL
     folders = sorted(root.iterdir())
     assert [folder.name for folder in folders] == [f"tabletop-{seed:04d}-0" for seed in range(6)]
     assert all(is_complete(folder) for folder in folders)

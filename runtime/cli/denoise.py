@@ -12,6 +12,8 @@ from stillray.errors import InputError
 if TYPE_CHECKING:
     from stillray.runner import Done
 
+#: Frames of a chunk unless told otherwise: twice as many as are run before it for its history.
+CHUNK_FRAMES = 64
 _FILE = "EXR file that holds the {}, or a pattern, glob or folder for a sequence."
 
 
@@ -90,11 +92,35 @@ def denoise(
         int | None,
         typer.Option(
             help="Run so many frames before the first one too, without writing them, so that it "
-            "has a history: for a part of a shot. Where a run is resumed, 32 unless given."
+            "has a history: for a part of a shot. In chunks, and where a run is resumed, 32 unless "
+            "given; with 16 or fewer, a step may be seen where chunks meet."
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Dask scheduler, as tcp://host:8786, whose workers take a chunk of the sequence "
+            "each; they must see the files under the same names. Finished frames are kept, as "
+            "with --resume.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(help="The same in so many processes of this machine, without a scheduler."),
+    ] = None,
+    chunk: Annotated[
+        int | None,
+        typer.Option(
+            help=f"Frames of a chunk, {CHUNK_FRAMES} unless given; those of --warm-up come on top."
         ),
     ] = None,
     threads: Annotated[
-        int | None, typer.Option(help="Threads; all available processors unless given.")
+        int | None,
+        typer.Option(
+            help="Threads of each process; all available processors, shared among local workers, "
+            "unless given."
+        ),
     ] = None,
     max_memory: Annotated[
         str | None,
@@ -155,6 +181,7 @@ def denoise(
     from stillray.shot import MEMORY_FRAMES, first_run, plan_shot, steps_to_run
     from stillray.tiles import parse_memory
 
+    spread = _spreads(scheduler, workers, chunk)
     layers = parse_overrides(layer or [])
     companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
     jobs = plan_shot(
@@ -184,7 +211,7 @@ def denoise(
     )
     done = [False] * len(jobs)
     start = reports.clock()
-    if resume:
+    if resume and (dry or not spread):  # workers look for themselves
         from stillray.runner import finished
 
         done = finished(jobs, recipe, memory=memory, layers=layers)
@@ -193,14 +220,27 @@ def denoise(
         facts = dry_run.collect(jobs, steps, layout, chosen.spec, temporal=temporal)
         dry_run.show(facts, as_json=as_json)
         return
-    from stillray.denoiser import Denoiser
-    from stillray.overlap import AHEAD
-    from stillray.runner import remove_leftovers, run_steps
+    from stillray.chunks import Work, run_chunks, split
+    from stillray.runner import remove_leftovers
 
+    work = Work(
+        model=str(chosen.path.absolute()) if model.endswith(".onnx") else chosen.name,
+        recipe=recipe,
+        layout=layout,
+        memory=memory,
+        temporal=temporal,
+        cuts=cuts,
+        threads=threads,
+        max_memory=limit,
+    )
+    size = CHUNK_FRAMES if chunk is None else chunk
+    chunks = split(jobs, size, memory=memory) if spread else {}
     remove_leftovers(jobs)
     kind = "json" if as_json else "quiet" if quiet else "text"
     ran: list[Done] = []
-    with reports.report_to(kind, steps, verbose=verbose) as report:
+    already = sum(done)
+    total = sum(map(len, chunks.values())) or len(steps)
+    with reports.report_to(kind, total, verbose=verbose) as report:
         if layout.detection is not None:
             report.motion(layout.detection)
 
@@ -208,17 +248,26 @@ def denoise(
             ran.append(frame)
             report.frame(frame)
 
-        if steps:
-            # in little memory no more frames than needed are held at a time
-            ahead = AHEAD if limit is None else 1
-            with Denoiser(
-                chosen.path, threads=threads, temporal=temporal, max_memory=limit
-            ) as denoiser:
-                run_steps(
-                    denoiser, steps, layout, recipe, tell, memory=memory, cuts=cuts, ahead=ahead
-                )
+        if spread:
+            already = run_chunks(
+                chunks, work, tell, workers=workers or 1, scheduler=scheduler, wait=report.wait
+            )
+        else:
+            work.run(chosen, steps, tell)
         report.end(
             reports.summarise(
-                ran, model=chosen.name, already=sum(done), seconds=reports.clock() - start
+                ran, model=chosen.name, already=already, seconds=reports.clock() - start
             )
         )
+
+
+def _spreads(scheduler: str | None, workers: int | None, chunk: int | None) -> bool:
+    """Whether the shot is split in chunks."""
+    if workers is not None and workers < 1:
+        raise InputError(f"workers must be 1 or more, got {workers}")
+    if workers is not None and scheduler is not None:
+        raise InputError(f"workers must not be given with a scheduler, got {workers}")
+    spread = scheduler is not None or (workers or 1) > 1
+    if chunk is not None and not spread:
+        raise InputError(f"chunk must be given with --scheduler or --workers, got {chunk} alone")
+    return spread

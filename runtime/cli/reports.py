@@ -13,14 +13,16 @@ from typing import TYPE_CHECKING, Any, Protocol
 if TYPE_CHECKING:
     from stillray.detect import Detection
     from stillray.runner import Done
-    from stillray.shot import Step
 
 
 class Report(Protocol):
-    """Told of the motion, of every frame that is done, and of the end."""
+    """Told of the motion, of waiting, of every frame that is done, and of the end."""
 
     def motion(self, detection: Detection) -> None:
         """The convention of the motion had to be proven, and this came of it."""
+
+    def wait(self, reason: str) -> None:
+        """Nothing happens until somebody else does something."""
 
     def frame(self, done: Done) -> None:
         """One frame is done."""
@@ -57,21 +59,24 @@ def summarise(done: Sequence[Done], *, model: str, already: int, seconds: float)
 
 
 @contextmanager
-def report_to(kind: str, steps: Sequence[Step], *, verbose: bool) -> Iterator[Report]:
-    """The reporter of a kind: ``"json"``, ``"quiet"`` or ``"text"``."""
+def report_to(kind: str, frames: int, *, verbose: bool) -> Iterator[Report]:
+    """The reporter of a kind: ``"json"``, ``"quiet"`` or ``"text"``, for so many frames."""
     if kind == "json":
         yield _Json()
     elif kind == "quiet":
         yield _Quiet()
     elif sys.stderr.isatty() and not verbose:
-        with _bar(len(steps)) as bar:
+        with _bar(frames) as bar:
             yield bar
     else:
-        yield _Lines(steps[0] if steps else None, verbose=verbose)
+        yield _Lines(verbose=verbose)
 
 
 class _Quiet:
     def motion(self, detection: Detection) -> None:
+        pass
+
+    def wait(self, reason: str) -> None:
         pass
 
     def frame(self, done: Done) -> None:
@@ -83,7 +88,7 @@ class _Quiet:
 
 class _Json:
     """One JSON object a line: ``"event"`` is ``"frame"``, at the end ``"summary"``; ``"motion"``
-    comes first where its convention had to be proven."""
+    comes first where its convention had to be proven, ``"wait"`` where workers are waited for."""
 
     def motion(self, detection: Detection) -> None:
         facts = {
@@ -92,6 +97,9 @@ class _Json:
             "reason": detection.reason,
         }
         print(json.dumps(facts), flush=True)
+
+    def wait(self, reason: str) -> None:
+        print(json.dumps({"event": "wait", "reason": reason}), flush=True)
 
     def frame(self, done: Done) -> None:
         job = done.step.job
@@ -114,15 +122,19 @@ class _Json:
 
 
 class _Lines:
-    def __init__(self, first: Step | None, *, verbose: bool) -> None:
-        self._first = first
+    def __init__(self, *, verbose: bool) -> None:
+        self._first = True
         self._verbose = verbose
 
     def motion(self, detection: Detection) -> None:
         print(_motion(detection), flush=True)
 
+    def wait(self, reason: str) -> None:
+        print(reason, flush=True)
+
     def frame(self, done: Done) -> None:
-        print(_line(done, first=done.step is self._first, verbose=self._verbose), flush=True)
+        print(_line(done, first=self._first, verbose=self._verbose), flush=True)
+        self._first = False
 
     def end(self, summary: dict[str, Any]) -> None:
         print(_last_line(summary, verbose=self._verbose))
@@ -135,6 +147,9 @@ class _Bar:
 
     def motion(self, detection: Detection) -> None:
         self._progress.console.print(_motion(detection), markup=False)
+
+    def wait(self, reason: str) -> None:
+        self._progress.console.print(reason, markup=False)
 
     def frame(self, done: Done) -> None:
         name = done.step.job.source.name

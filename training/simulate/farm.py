@@ -1,19 +1,19 @@
-"""Running many jobs: in this process, in local processes, or on a Dask scheduler.
+"""Rendering many jobs: in this process, in local processes, or on a Dask scheduler.
 
-A task is idempotent: its files appear complete or not at all, finished ones are kept, and the same
-job gives the same pixels. So a task that a lost worker had begun can simply be run again.
+Jobs are idempotent, as `stillray.farm` wants its tasks: a sequence's files appear complete or not
+at all, finished ones are kept, and the same job gives the same pixels.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from stillray.errors import InputError
+from stillray.farm import run_tasks
+from stillray.strips import available_threads
 from stillray.training.simulate.jobs import Job, run_job
 from stillray.training.simulate.variant import load_mitsuba
 
@@ -28,11 +28,8 @@ def default_workers(jobs: int) -> int:
         return 1
     import psutil
 
-    cores = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
     memory = int(psutil.virtual_memory().available // _WORKER_MEMORY)
-    return max(1, min(cores, memory, jobs))
+    return max(1, min(available_threads(), memory, jobs))
 
 
 def run_here(
@@ -47,7 +44,7 @@ def run_here(
         except InputError as error:
             if len(jobs) == 1:
                 raise
-            failures[f"{job.label}-{job.seed:04d}"] = str(error)
+            failures[_name(job)] = str(error)
     return failures
 
 
@@ -72,10 +69,8 @@ def run_farm(
         The Mitsuba variant; None: each worker chooses.
     on_job
         Called as each job ends.
-    workers
-        Local processes, where no scheduler is given, 1 or more.
-    scheduler
-        Address of a running Dask scheduler, such as ``tcp://host:8786``.
+    workers, scheduler
+        As `stillray.farm.run_tasks` takes them.
 
     Returns
     -------
@@ -87,64 +82,25 @@ def run_farm(
     InputError
         Dask is not installed, or the scheduler does not answer.
     """
-    if find_spec("distributed") is None:
-        raise InputError("workers above 1 need Dask: pip install 'stillray[farm]'")
-    from distributed import as_completed
-
-    failures: Failures = {}
-    with _client(workers, scheduler) as (client, threads):
-        futures = {
-            client.submit(
-                render_task, job, str(root.resolve()), variant, threads,
-                key=f"{job.label}-{job.seed:04d}", retries=3,
-            ): job
-            for job in jobs
-        }  # fmt: skip
-        for future in as_completed(futures):
-            job = futures[future]
-            if future.status == "error":
-                failures[future.key] = str(future.exception())
-            elif reason := future.result():
-                failures[future.key] = reason
-            on_job(job)
-    return failures
+    items = {_name(job): job for job in jobs}
+    return run_tasks(
+        partial(render_task, root=str(root.resolve()), variant=variant),
+        items,
+        lambda name, _: on_job(items[name]),
+        workers=workers,
+        scheduler=scheduler,
+    )
 
 
-def render_task(job: Job, root: str, variant: str | None, threads: int) -> str | None:
-    """What a worker runs; gives back why the job cannot be done, or None."""
+def render_task(job: Job, threads: int, *, root: str, variant: str | None) -> None:
+    """What a worker runs."""
     mi, _ = load_mitsuba(variant)
-    if threads and not mi.variant().startswith("scalar"):
+    if not mi.variant().startswith("scalar"):
         import drjit as dr
 
         dr.set_thread_count(threads)
-    try:
-        run_job(mi, job, Path(root))
-    except InputError as error:  # bad input stays bad: no use in trying again
-        return str(error)
-    return None
+    run_job(mi, job, Path(root))
 
 
-@contextmanager
-def _client(workers: int, scheduler: str | None) -> Iterator[tuple[Any, int]]:
-    from distributed import Client, LocalCluster
-
-    if scheduler is not None:
-        try:
-            client = Client(scheduler, timeout=10)
-        except (OSError, ValueError) as error:
-            raise InputError(f"scheduler must answer, got {scheduler}: {error}") from None
-        with client:
-            yield client, 0
-        return
-    cores = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
-    # memory limits off: a worker that Dask kills for its memory would only start over
-    with (
-        LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, memory_limit=0,
-            dashboard_address=":0",
-        ) as cluster,
-        Client(cluster) as client,
-    ):  # fmt: skip
-        yield client, max(1, cores // workers)
+def _name(job: Job) -> str:
+    return f"{job.label}-{job.seed:04d}"
