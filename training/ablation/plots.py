@@ -37,7 +37,9 @@ def draw_kernels(results: Results, path: Path) -> None:
     for name in _PEERS:
         if name in results.scores and name in results.milliseconds:
             at = (results.milliseconds[name]["both"], results.mean(name)["psnr"])
-            peers.plot(*at, "s" if name.startswith("KP") else "o", color="C3" if "KP" in name else "C0")
+            peers.plot(
+                *at, "s" if name.startswith("KP") else "o", color="C3" if "KP" in name else "C0"
+            )
             peers.annotate(name, at, xytext=(6, 4), textcoords="offset points")
     peers.set_xlim(left=0)
     peers.margins(x=0.15, y=0.15)
