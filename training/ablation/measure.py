@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import torch
 from torch import nn
@@ -78,39 +79,33 @@ def score_all(
         if path.is_file() and json.loads(path.read_text())["checkpoint"] == checkpoint:
             continue
         network, _ = load_network(variant.spec, folder / CHECKPOINT, variant.family)
-        found = {"checkpoint": checkpoint, "scenes": score(variant, network, validation, pictures)}
-        if variant.name in ONE_FRAME:
-            found["one frame"] = score(variant, network, validation, pictures, temporal=False)
+        found: dict[str, Any] = {"checkpoint": checkpoint}
+        with denoiser(variant, network) as stream:
+            found["scenes"] = score(stream, validation, pictures)
+            if variant.name in ONE_FRAME:
+                stream.temporal = False
+                found["one frame"] = score(stream, validation, pictures)
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(found, indent=1))
 
 
 def score(
-    variant: Variant,
-    network: nn.Module,
-    validation: Path,
-    pictures: Path | None = None,
-    *,
-    temporal: bool = True,
+    stream: Denoiser, validation: Path, pictures: Path | None = None
 ) -> dict[str, dict[str, float]]:
-    """Scene to metric to value, of the last frame that has a reference.
-
-    Without ``temporal``, nothing is accumulated before it.
-    """
+    """Scene to metric to value, of the last frame that has a reference."""
     scenes = {}
-    with denoiser(variant, network, temporal=temporal) as stream:
-        for scene in find_scenes(validation):
-            paths, references = last_referenced(scene)
-            frames = [read_exr(path) for path in (paths if temporal else paths[-1:])]
-            stream.reset()
-            (image,), _ = run_stream(stream, frames, 1)
-            scenes[scene.name] = metrics.evaluate([image], references[-1:], names=METRICS)
-            if pictures is not None:
-                pictures.mkdir(parents=True, exist_ok=True)
-                kind = "" if temporal else "_one_frame"
-                name = f"{scene.name}-{folder_of(variant, pictures).name}{kind}.png"
-                exposure = display_exposure(references[-1])
-                write_png(pictures / name, tone_map(image, exposure))
+    for scene in find_scenes(validation):
+        paths, references = last_referenced(scene)
+        frames = [read_exr(path) for path in (paths if stream.temporal else paths[-1:])]
+        stream.reset()
+        (image,), _ = run_stream(stream, frames, 1)
+        scenes[scene.name] = metrics.evaluate([image], references[-1:], names=METRICS)
+        if pictures is not None:
+            pictures.mkdir(parents=True, exist_ok=True)
+            parts = [scene.name, stream.model.name, "" if stream.temporal else "one frame"]
+            name = "-".join(part.replace(" ", "-") for part in parts if part)
+            exposure = display_exposure(references[-1])
+            write_png(pictures / f"{name}.png", tone_map(image, exposure))
     return scenes
 
 
