@@ -83,7 +83,7 @@ def test_what_tables_and_claims_name_is_in_the_study():
     assert asked <= set(variants.TIMED)
 
 
-def test_predicted_kernels_run_as_a_user_runs_a_model(rng):
+def test_predicted_kernels_run_as_a_user_runs_a_model(rng, tmp_path):
     # a network that answers with one tap: every pixel becomes its neighbour, times its own albedo
     variant = tiny("KP-2")
     network = variant.family.network(variant.spec)
@@ -100,7 +100,8 @@ def test_predicted_kernels_run_as_a_user_runs_a_model(rng):
     light = rng.uniform(1, 2, (height, width, 1)).astype(np.float32)
     albedo = rng.uniform(0.2, 0.9, (height, width, 3)).astype(np.float32)
     frame = Frame(color=light * albedo, albedo=albedo)
-    with measure.denoiser(variant, network, threads=2, temporal=False) as stream:
+    measure.export(variant, network, tmp_path / "network.onnx")
+    with measure.open_stream(variant, tmp_path / "network.onnx", temporal=False) as stream:
         assert isinstance(stream, KernelPredictor)
         image = stream.denoise(frame)
         assert {"network", "reconstruct"} <= set(stream.last_timings)
@@ -111,14 +112,15 @@ def test_predicted_kernels_run_as_a_user_runs_a_model(rng):
     np.testing.assert_allclose(image[inner], (there * albedo)[inner], rtol=1e-5)
 
 
-def test_predicted_kernels_without_preference_are_a_box_over_accumulated_light():
+def test_predicted_kernels_without_preference_are_a_box_over_accumulated_light(tmp_path):
     variant = tiny("KP-2")
     network = variant.family.network(variant.spec)
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.zero_()
     history = None
-    with measure.denoiser(variant, network) as stream:
+    measure.export(variant, network, tmp_path / "network.onnx")
+    with measure.open_stream(variant, tmp_path / "network.onnx") as stream:
         for seed in range(3):
             frame = make_frame(20, 31, seed, shift=1.0)
             image = stream.denoise(frame)
@@ -168,6 +170,7 @@ def found(scores, times=None):
     return results.Results(
         scores={name: {"room": {"psnr": psnr}} for name, psnr in scores.items()},
         one_frame={},
+        losses=dict.fromkeys(scores, 0.1),
         milliseconds={
             name: {"network": ms, "reconstruct": 1.0, "both": ms + 1} for name, ms in times.items()
         },
@@ -225,7 +228,7 @@ def test_results_without_the_base_or_times_are_bad_input(tmp_path):
         results.read_results(variants.study(), tmp_path)
     folder = folder_of(STUDY["wskp-6"], tmp_path)
     folder.mkdir()
-    scores = {"checkpoint": "", "scenes": {"room": {"psnr": 25.0}}}
+    scores = {"checkpoint": "", "loss": 0.1, "scenes": {"room": {"psnr": 25.0}}}
     (folder / measure.SCORES).write_text(json.dumps(scores))
     with pytest.raises(InputError, match="times"):
         results.read_results(variants.study(), tmp_path)

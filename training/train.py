@@ -41,6 +41,7 @@ from stillray.training.families import FAMILIES, Family
 from stillray.training.losses import displayed, dissimilarity, smape, unsteadiness
 
 CHECKPOINT = "checkpoint.safetensors"
+LOG = "log.csv"
 STARTED_FROM = "started_from.json"  # the model whose weights were taken over, if any
 PREVIOUS = "previous.onnx"  # the model whose outputs are the previous ones of a recurrence
 _LOG_EVERY = 20  # steps
@@ -137,7 +138,7 @@ def train(
     ) as progress:
         # a list of its own: previous outputs are this model's
         examples = list(examples) or load_all(data, spec, progress)
-        _forget_after(out / "log.csv", step)
+        _forget_after(out / LOG, step)
         (out / "data.json").write_text(json.dumps([path.name for path in sequences], indent=1))
         recipe = spec.training
         resumed = recipe.history_from and step > recipe.history_from
@@ -162,7 +163,7 @@ def train(
             step += 1
             progress.advance(task)
             if step % _LOG_EVERY == 0:
-                _log(out / "log.csv", step, float(np.mean(losses)), time.monotonic() - began)
+                _log(out / LOG, step, float(np.mean(losses)), time.monotonic() - began)
                 losses = []
             if step % save_every == 0 or step == spec.training.steps:
                 _save(out / CHECKPOINT, spec, network, optimiser, step)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from stillray.training.ablation.results import Results
 from stillray.training.ablation.variants import BASE, KERNEL_COUNTS, OTHER_SEED, fused, single
 
+HOLDS, NOT_TRAINED = "holds", "not trained"
 # decibels between models that the paper calls as good as each other
 _ALIKE = 0.2
 # a ratio of times may differ from the paper's graphics processor by this factor
@@ -27,6 +28,8 @@ class Claim:
         The same in the paper's averages, dB or a ratio; None where it gives a plot alone.
     times
         Whether it is about time.
+    why
+        What explains it where ours differs.
     """
 
     text: str
@@ -34,6 +37,7 @@ class Claim:
     to: str
     paper: float | None
     times: bool = False
+    why: str = ""
 
 
 CLAIMS = (
@@ -101,18 +105,18 @@ def verdict(claim: Claim, found: float | None, noise: float) -> str:
         Decibels below which a difference says nothing.
     """
     if found is None:
-        return "not trained"
+        return NOT_TRAINED
     if claim.times:
         assert claim.paper is not None
         off = found / claim.paper
         if 1 / _TIMES_ALIKE <= off <= _TIMES_ALIKE:
-            return "holds"
+            return HOLDS
         return "less than that" if off < 1 else "more than that"
     if claim.paper is not None and abs(claim.paper) < _ALIKE / 2:
-        return "holds" if abs(found) <= max(_ALIKE, noise) else "does not hold"
+        return HOLDS if abs(found) <= max(_ALIKE, noise) else "does not hold"
     if abs(found) <= noise:
         return "another seed changes as much"
-    return "holds" if (found > 0) == _rises(claim) else "does not hold"
+    return HOLDS if (found > 0) == _rises(claim) else "does not hold"
 
 
 def _rises(claim: Claim) -> bool:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -26,34 +27,26 @@ from stillray.training.ablation.study import folder_of, is_finished
 from stillray.training.ablation.variants import ONE_FRAME, Variant
 from stillray.training.evaluate import find_scenes, last_referenced, run_stream
 from stillray.training.peers.kernel_predictor import KernelPredictor
-from stillray.training.train import CHECKPOINT, load_network
+from stillray.training.train import CHECKPOINT, LOG, load_network
 
 METRICS = ("psnr", "ssim", "smape", "flip")
 SCORES = "scores.json"
 TIMES = "times.json"
+_LAST_LOSSES = 10  # rows of the log: 200 steps
 PARTS = ("network", "reconstruct")
 
 
-@contextmanager
-def denoiser(
-    variant: Variant, network: nn.Module, *, threads: int | None = None, temporal: bool = True
-) -> Iterator[Denoiser]:
-    """A variant as a user would run it: exported, through ONNX Runtime and the runtime's stages.
+def export(variant: Variant, network: nn.Module, path: Path) -> None:
+    """Write a variant's network as the runtime takes it; the network is not changed.
 
-    Parameters
-    ----------
-    variant, network
-        What to run; the network is not changed.
-    threads, temporal
-        As `stillray.Denoiser` takes them.
+    The file is for `open_stream` alone: the runtime would take a peer's for a model of ours.
     """
-    kind = KernelPredictor if variant.predicts else Denoiser
-    # not kept: the runtime would take a peer's file for a model of ours
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "network.onnx"
-        path.write_bytes(network_graph(fuse(network), variant.spec, {}).SerializeToString())
-        with kind(path, threads=threads, temporal=temporal) as stream:
-            yield stream
+    path.write_bytes(network_graph(fuse(network), variant.spec, {}).SerializeToString())
+
+
+def open_stream(variant: Variant, path: Path, *, temporal: bool = True) -> Denoiser:
+    """A variant as a user would run it: through ONNX Runtime and the runtime's stages."""
+    return (KernelPredictor if variant.predicts else Denoiser)(path, temporal=temporal)
 
 
 def score_all(
@@ -79,14 +72,23 @@ def score_all(
         if path.is_file() and json.loads(path.read_text())["checkpoint"] == checkpoint:
             continue
         network, _ = load_network(variant.spec, folder / CHECKPOINT, variant.family)
-        found: dict[str, Any] = {"checkpoint": checkpoint}
-        with denoiser(variant, network) as stream:
-            found["scenes"] = score(stream, validation, pictures)
+        found: dict[str, Any] = {"checkpoint": checkpoint, "loss": _last_loss(folder / LOG)}
+        with TemporaryDirectory() as temporary_folder:
+            file = Path(temporary_folder) / "network.onnx"
+            export(variant, network, file)
+            with open_stream(variant, file) as stream:
+                found["scenes"] = score(stream, validation, pictures)
             if variant.name in ONE_FRAME:
-                stream.temporal = False
-                found["one frame"] = score(stream, validation, pictures)
+                with open_stream(variant, file, temporal=False) as stream:
+                    found["one frame"] = score(stream, validation, pictures)
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(found, indent=1))
+
+
+def _last_loss(log: Path) -> float:
+    """Mean loss of the last steps of a training."""
+    with log.open(newline="") as file:
+        return float(np.mean([float(row["loss"]) for row in csv.DictReader(file)][-_LAST_LOSSES:]))
 
 
 def score(
@@ -123,25 +125,24 @@ def time_all(variants: Sequence[Variant], out: Path, size: tuple[int, int], roun
     size
         Height and width of a made-up frame, pixels.
     rounds
-        How often each is timed, after once that does not count.
+        How often each is timed, each time after once that does not count.
     """
     frame = dataclasses.replace(swing(*size)[0], motion=None)
     taken: dict[str, dict[str, list[float]]] = {}
-    with ExitStack() as open_ones:
-        streams = {}
-        for variant in variants:
+    with TemporaryDirectory() as folder:
+        for index, variant in enumerate(variants):
             torch.manual_seed(variant.spec.training.seed)
             network = variant.family.network(variant.spec)
-            streams[variant.name] = open_ones.enter_context(
-                denoiser(variant, network, temporal=False)
-            )
+            export(variant, network, Path(folder) / f"{index}.onnx")
             taken[variant.name] = {part: [] for part in PARTS}
-        for turn in range(rounds + 1):
-            for name, stream in streams.items():
-                stream.denoise(frame)
-                if turn:
+        for _ in range(rounds):
+            for index, variant in enumerate(variants):
+                # one at a time: kernels of 169 weights a pixel take 2 GB
+                with open_stream(variant, Path(folder) / f"{index}.onnx", temporal=False) as stream:
+                    stream.denoise(frame)  # takes the memory
+                    stream.denoise(frame)
                     for part in PARTS:
-                        taken[name][part].append(stream.last_timings[part])
+                        taken[variant.name][part].append(stream.last_timings[part])
     found = {"size": size, "rounds": rounds, "machine": describe(), "milliseconds": taken}
     out.mkdir(parents=True, exist_ok=True)
     with atomic_path(out / TIMES) as temporary:

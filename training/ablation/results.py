@@ -26,6 +26,8 @@ class Results:
         Variant to scene to metric to value; variants that are not finished are absent.
     one_frame
         The same without accumulation, for some variants.
+    losses
+        Variant to the mean loss of its last 200 steps of training, on the same patches for all.
     milliseconds
         Variant to part to the median over rounds.
     ratios
@@ -40,6 +42,7 @@ class Results:
 
     scores: dict[str, dict[str, dict[str, float]]]
     one_frame: dict[str, dict[str, dict[str, float]]]
+    losses: dict[str, float]
     milliseconds: dict[str, dict[str, float]]
     ratios: dict[str, dict[str, float]]
     size: tuple[int, int]
@@ -68,12 +71,13 @@ def read_results(variants: Sequence[Variant], out: Path) -> Results:
     InputError
         Nothing was scored, or nothing was timed.
     """
-    scores, one_frame = {}, {}
+    scores, one_frame, losses = {}, {}, {}
     for variant in variants:
         path = folder_of(variant, out) / SCORES
         if path.is_file():
             found = json.loads(path.read_text())
             scores[variant.name] = found["scenes"]
+            losses[variant.name] = found["loss"]
             if "one frame" in found:
                 one_frame[variant.name] = found["one frame"]
     if BASE not in scores:
@@ -85,6 +89,7 @@ def read_results(variants: Sequence[Variant], out: Path) -> Results:
     return Results(
         scores=scores,
         one_frame=one_frame,
+        losses=losses,
         milliseconds={
             name: {part: float(np.median(values)) for part, values in parts.items()}
             for name, parts in rounds.items()
