@@ -30,7 +30,7 @@ DATA = Path(__file__).parent / "data"
 STUDY = {variant.name: variant for variant in variants.study()}
 
 
-def tiny(name, steps=2):
+def tiny(name, steps=20):
     """A variant of the study with a network and a recipe of next to nothing."""
     variant = STUDY[name]
     recipe = dataclasses.replace(variant.spec.training, steps=steps, batch=1, patch=24)
@@ -154,7 +154,7 @@ def test_one_command_trains_scores_times_and_reports(tmp_path, monkeypatch):
     command.main(**steps)
     assert [path.stat().st_mtime_ns for path in files] == before
     # other weights are scored anew
-    small[0] = tiny("wskp-6", steps=3)
+    small[0] = tiny("wskp-6", steps=40)
     with pytest.raises(InputError, match="study as it is now"):
         command.main(**steps)
     (folder_of(small[0], out) / CHECKPOINT).unlink()
@@ -218,8 +218,8 @@ def test_the_page_says_what_is_missing(tmp_path):
     missing = next(line for line in page.splitlines() if line.startswith("Not trained"))
     assert "KP-1" in missing
     assert "wskp-3" not in missing
-    assert "| wskp-3 is below it (table 1) | -0.69 | -1.00 | holds |" in page
-    assert "| KP-1 is below wskp-6 (table 6) | -0.81 |  | not trained |" in page
+    assert "| wskp-3 is below it (table 1) | -0.69 | -1.00 | 0 of 1 | holds |" in page
+    assert "| KP-1 is below wskp-6 (table 6) | -0.81 |  |  | not trained |" in page
     assert "abacus, 2 threads" in page
 
 

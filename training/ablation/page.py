@@ -9,7 +9,15 @@ from stillray.compare.metrics import METRICS as ALL_METRICS
 from stillray.exr import atomic_path
 from stillray.models_spec import load
 from stillray.models_spec.loader import Training
-from stillray.training.ablation.claims import CLAIMS, HOLDS, NOT_TRAINED, measured, spread, verdict
+from stillray.training.ablation.claims import (
+    CLAIMS,
+    HOLDS,
+    NOT_TRAINED,
+    measured,
+    rises_in,
+    spread,
+    verdict,
+)
 from stillray.training.ablation.measure import METRICS
 from stillray.training.ablation.plots import draw_kernels
 from stillray.training.ablation.results import Results, mean_over_scenes
@@ -111,8 +119,8 @@ def _claims(results: Results) -> str:
             else f"{OTHER_SEED} was not trained, so small differences may say nothing."
         ),
         "",
-        "| finding | paper | here | |",
-        "|---|---|---|---|",
+        "| finding | paper | here | scenes in which the first is above | |",
+        "|---|---|---|---|---|",
     ]
     reasons = []
     for claim in CLAIMS:
@@ -120,7 +128,8 @@ def _claims(results: Results) -> str:
         paper = "" if claim.paper is None else format(claim.paper, form)
         here = "" if found is None else format(found, form)
         said = verdict(claim, found, noise or 0.0)
-        lines.append(f"| {claim.text} | {paper} | {here} | {said} |")
+        scenes = "" if claim.times or found is None else rises_in(claim, results)
+        lines.append(f"| {claim.text} | {paper} | {here} | {scenes} | {said} |")
         if claim.why and said not in (HOLDS, NOT_TRAINED):
             reasons.append(f"- {claim.text}: {said}. {claim.why}")
     return "\n".join([*lines, "", *reasons]).rstrip() + "\n"
