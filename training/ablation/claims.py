@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from stillray.training.ablation.results import Results
 from stillray.training.ablation.variants import BASE, KERNEL_COUNTS, OTHER_SEED, fused, single
 
-HOLDS, NOT_TRAINED = "holds", "not trained"
+HOLDS = "holds"
 # decibels between models that the paper calls as good as each other
 _ALIKE = 0.2
 # a ratio of times may differ from the paper's graphics processor by this factor
@@ -113,7 +113,7 @@ def rises_in(claim: Claim, results: Results) -> str:
     return f"{above} of {len(second)}"
 
 
-def verdict(claim: Claim, found: float | None, noise: float) -> str:
+def verdict(claim: Claim, found: float, noise: float) -> str:
     """Whether what was found agrees, in a few words.
 
     Parameters
@@ -123,8 +123,6 @@ def verdict(claim: Claim, found: float | None, noise: float) -> str:
     noise
         Decibels below which a difference says nothing.
     """
-    if found is None:
-        return NOT_TRAINED
     if claim.times:
         assert claim.paper is not None
         off = found / claim.paper

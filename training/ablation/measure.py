@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import hashlib
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -143,7 +144,13 @@ def time_all(variants: Sequence[Variant], out: Path, size: tuple[int, int], roun
                     stream.denoise(frame)
                     for part in PARTS:
                         taken[variant.name][part].append(stream.last_timings[part])
-    found = {"size": size, "rounds": rounds, "machine": describe(), "milliseconds": taken}
+    found = {
+        "size": size,
+        "rounds": rounds,
+        "machine": describe(),
+        "load": os.getloadavg()[0],
+        "milliseconds": taken,
+    }
     out.mkdir(parents=True, exist_ok=True)
     with atomic_path(out / TIMES) as temporary:
         temporary.write_text(json.dumps(found, indent=1))

@@ -38,6 +38,8 @@ class Results:
         How often.
     machine
         Where.
+    load
+        Programs that were running there, this one among them: the mean of the last minute.
     """
 
     scores: dict[str, dict[str, dict[str, float]]]
@@ -48,6 +50,7 @@ class Results:
     size: tuple[int, int]
     rounds: int
     machine: dict[str, str]
+    load: float
 
     def mean(self, name: str) -> dict[str, float]:
         """Mean scores of a variant over the scenes."""
@@ -104,6 +107,7 @@ def read_results(variants: Sequence[Variant], out: Path) -> Results:
         size=(times["size"][0], times["size"][1]),
         rounds=times["rounds"],
         machine=times["machine"],
+        load=times["load"],
     )
 
 
