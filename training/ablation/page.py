@@ -12,7 +12,6 @@ from stillray.models_spec.loader import Training
 from stillray.training.ablation.claims import (
     CLAIMS,
     HOLDS,
-    NOT_TRAINED,
     measured,
     rises_in,
     spread,
@@ -121,7 +120,8 @@ def _claims(results: Results) -> str:
         + (
             f"{BASE} from other random numbers differs by {noise:.2f} dB, so less says nothing."
             if noise is not None
-            else f"{OTHER_SEED} was not trained, so a difference of tenths, or one that scenes do not share, may say nothing."
+            else f"{OTHER_SEED} was not trained, so a difference of tenths, or one that scenes do not "
+            "share, may say nothing."
         ),
         "",
         "| finding | paper | here | scenes in which the first is above | |",
