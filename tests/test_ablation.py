@@ -216,10 +216,10 @@ def test_the_page_says_what_is_missing(tmp_path):
     ours = found({"wskp-6": 25.0, "wskp-3": 24.0}, {"wskp-6": 1.0})
     write_page(variants.study(), ours, tmp_path / "page.md", "the command")
     page = (tmp_path / "page.md").read_text()
-    missing = next(line for line in page.splitlines() if line.startswith("Not trained"))
+    missing = next(line for line in page.splitlines() if line.startswith("Not finished"))
     assert "KP-1" in missing
     assert "wskp-3" not in missing
-    assert "| wskp-3 is below it (table 1) | -0.69 | -1.00 | 0 of 1 | holds |" in page
+    assert "| wskp-3 is below wskp-6 (table 1) | -0.69 | -1.00 | 0 of 1 | holds |" in page
     assert "KP-1 is below" not in page
     assert "One kernel" not in page
     assert "About 7 programs" in page

@@ -108,7 +108,7 @@ def _pixels(recipe: Training) -> int:
 
 def _left_out(variants: Sequence[Variant], results: Results) -> str:
     names = [variant.name for variant in variants if variant.name not in results.scores]
-    return f"Not trained when this was written: {', '.join(names)}.\n" if names else ""
+    return f"Not finished when this was written: {', '.join(names)}.\n" if names else ""
 
 
 def _claims(results: Results) -> str:
@@ -120,8 +120,8 @@ def _claims(results: Results) -> str:
         + (
             f"{BASE} from other random numbers differs by {noise:.2f} dB, so less says nothing."
             if noise is not None
-            else f"{OTHER_SEED} was not trained, so a difference of tenths, or one that scenes do not "
-            "share, may say nothing."
+            else f"{OTHER_SEED} was not trained, so a difference of tenths, or one that scenes do "
+            "not share, may say nothing."
         ),
         "",
         "| finding | paper | here | scenes in which the first is above | |",
