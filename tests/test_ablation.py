@@ -142,7 +142,6 @@ def test_one_command_trains_scores_times_and_reports(tmp_path, monkeypatch):
     assert "| wskp-6 | " in page
     assert "| KP | " in page
     assert "Accumulation on and off" in page
-    assert (tmp_path / "page.png").stat().st_size > 1000
     assert len(list((tmp_path / "pictures").glob("room-*.png"))) == 4
     found = results.read_results(small, out)
     assert found.size == (20, 30)
@@ -223,6 +222,16 @@ def test_the_page_says_what_is_missing(tmp_path):
     assert "KP-1 is below" not in page
     assert "One kernel" not in page
     assert "About 7 programs" in page
+    assert not (tmp_path / "page.png").exists()
+
+
+def test_the_page_shows_numbers_of_kernels_once_there_are_two(tmp_path):
+    ours = found({"wskp-6": 25.0, "one 3x3 kernel": 24.0}, {"wskp-6": 1.0, "one 3x3 kernel": 0.9})
+    write_page(variants.study(), ours, tmp_path / "page.md", "the command")
+    page = (tmp_path / "page.md").read_text()
+    assert "page.png" in page
+    assert (tmp_path / "page.png").stat().st_size > 1000
+    assert "six fused kernels are above one of 3x3 (figure 9) |  | +1.00 | 1 of 1 | holds |" in page
     assert "abacus, 2 threads" in page
 
 

@@ -42,7 +42,10 @@ class Claim:
 
 CLAIMS = (
     Claim(text="wskp-6 is as good as KP (table 1)", of=BASE, to="KP", paper=30.323 - 30.332),
-    Claim(text="wskp-6 takes half of KP's time (table 3)", of=BASE, to="KP", paper=12.89 / 27.86, times=True),
+    Claim(
+        text="wskp-6 takes half of KP's time (table 3)", of=BASE, to="KP", paper=12.89 / 27.86,
+        times=True,
+    ),
     Claim(
         text="wskp-3 is below wskp-6 (table 1)", of="wskp-3", to=BASE, paper=29.637 - 30.323,
         why="The training is short: on the same patches the two still have about the same loss, "
@@ -54,13 +57,15 @@ CLAIMS = (
     ),
     Claim(text="KP-1 is below wskp-6 (table 6)", of="KP-1", to=BASE, paper=29.517 - 30.323),
     Claim(
-        text="KP-1 is slower than wskp-6 (table 6)", of="KP-1", to=BASE, paper=19.70 / 12.89, times=True,
+        text="KP-1 is slower than wskp-6 (table 6)", of="KP-1", to=BASE, paper=19.70 / 12.89,
+        times=True,
         why="Its last convolution and its 169 weights a pixel stay, and on a processor those "
         "weights pass through memory twice.",
     ),
     Claim(text="KP-2 is below wskp-6 (table 6)", of="KP-2", to=BASE, paper=29.809 - 30.323),
     Claim(
-        text="KP-2 is as fast as wskp-6 (table 6)", of="KP-2", to=BASE, paper=12.99 / 12.89, times=True,
+        text="KP-2 is as fast as wskp-6 (table 6)", of="KP-2", to=BASE, paper=12.99 / 12.89,
+        times=True,
         why="Its last convolution to 49 outputs takes more operations than the block that it "
         "saves, and its 49 weights a pixel pass through memory twice.",
     ),

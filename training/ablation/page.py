@@ -20,7 +20,14 @@ from stillray.training.ablation.claims import (
 from stillray.training.ablation.measure import METRICS
 from stillray.training.ablation.plots import draw_kernels
 from stillray.training.ablation.results import Results, mean_over_scenes
-from stillray.training.ablation.variants import BASE, COMPARISONS, OTHER_SEED, Variant
+from stillray.training.ablation.variants import (
+    BASE,
+    COMPARISONS,
+    KERNEL_COUNTS,
+    OTHER_SEED,
+    Variant,
+    fused,
+)
 
 _SHOWN = [metric for metric in ALL_METRICS if metric.name in METRICS]
 _BUSY = 3.0  # load above which others had a share of the processor
@@ -48,7 +55,7 @@ same loop as what it was trained with.
 
 
 def write_page(variants: Sequence[Variant], results: Results, path: Path, command: str) -> None:
-    """Write the page, and its plot beside it.
+    """Write the page and, once numbers of kernels can be compared, its plot beside it.
 
     Parameters
     ----------
@@ -60,11 +67,13 @@ def write_page(variants: Sequence[Variant], results: Results, path: Path, comman
         What wrote it, for the reader.
     """
     plot = path.with_suffix(".png")
-    draw_kernels(results, plot)
+    drawn = any(fused(count) in results.scores for count in KERNEL_COUNTS[:-1])
+    if drawn:
+        draw_kernels(results, plot)
     parts = [
         _head(variants, results, command),
         _left_out(variants, results),
-        f"![PSNR and time of kernels]({plot.name})\n",
+        f"![PSNR and time of kernels]({plot.name})\n" if drawn else "",
         _claims(results),
         *(
             f"## {one.title}\n\n{one.source}.\n\n{_table(one.variants, results)}"
