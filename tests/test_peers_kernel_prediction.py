@@ -74,11 +74,11 @@ def test_both_forms_equal_the_loop_oracle(rng, size, options, weigh):
 def test_gradient_equals_finite_differences():
     torch.manual_seed(0)
     options = KernelPrediction(kernel_size=3)
-    irradiance = torch.rand(1, 3, 4, 5, dtype=torch.float64)
-    samples = torch.rand(1, 1, 4, 5, dtype=torch.float64) + 0.1
+    irradiance = torch.rand(1, 3, 4, 5, dtype=torch.float64, requires_grad=True)
+    samples = (torch.rand(1, 1, 4, 5, dtype=torch.float64) + 0.1).requires_grad_()
     logits = torch.randn(1, 9, 4, 5, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(
-        lambda x: predicted_kernels(irradiance, samples, x, options), (logits,)
+        lambda *given: predicted_kernels(*given, options), (irradiance, samples, logits)
     )
 
 

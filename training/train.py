@@ -12,6 +12,7 @@ import json
 import math
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,24 +38,28 @@ from stillray.training.dataset import (
     load_examples,
     previous_outputs,
 )
-from stillray.training.families import FAMILIES
+from stillray.training.families import FAMILIES, Family
 from stillray.training.losses import displayed, dissimilarity, smape, unsteadiness
 
 CHECKPOINT = "checkpoint.safetensors"
+LOG = "log.csv"
 STARTED_FROM = "started_from.json"  # the model whose weights were taken over, if any
 PREVIOUS = "previous.onnx"  # the model whose outputs are the previous ones of a recurrence
 _LOG_EVERY = 20  # steps
 
 
-def reconstruct_loss(network: nn.Module, batch: Batch, spec: ModelSpec) -> Tensor:
+def reconstruct_loss(
+    network: nn.Module, batch: Batch, spec: ModelSpec, family: Family | None = None
+) -> Tensor:
     """Error of the re-modulated result against the reference, both exposed."""
+    family = family or FAMILIES[spec.family]
     take = {
         field.name: torch.from_numpy(getattr(batch, field.name))
         for field in dataclasses.fields(batch)
     }
     # channels last: the processor's convolutions of 16 channels run a third faster
     outputs = network(take["features"].contiguous(memory_format=torch.channels_last))
-    image = FAMILIES[spec.family].radiance(outputs, take, spec) * take["exposure"]
+    image = family.radiance(outputs, take, spec) * take["exposure"]
     reference = take["reference"] * take["exposure"]
     recipe = spec.training
     loss = smape(image, reference, recipe.smape_epsilon)
@@ -88,6 +93,8 @@ def train(
     *,
     start: Path | None = None,
     save_every: int = 200,
+    family: Family | None = None,
+    examples: Sequence[Example] = (),
 ) -> nn.Module:
     """Train until the recipe's last step; resumes from ``out`` if it holds a checkpoint.
 
@@ -103,18 +110,22 @@ def train(
         Checkpoint of a similar model to start from, see `start_from`; None for random weights.
     save_every
         Steps between checkpoints.
+    family
+        Network and reconstruction; None for those of the spec's family.
+    examples
+        What `load_all` gave for the same data, to several trainings that see it alike; loaded here
+        if there are none.
 
     Raises
     ------
     InputError
         There are no finished sequences, or the checkpoint belongs to another spec.
     """
-    sequences = [path for folder in data for path in find_sequences(folder)]
-    if not sequences:
-        raise InputError(f"data must hold finished sequences, got {', '.join(map(str, data))}")
+    sequences = _all_sequences(data)
+    family = family or FAMILIES[spec.family]
     out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(spec.training.seed)
-    network = FAMILIES[spec.family].network(spec)
+    network = family.network(spec)
     optimiser = torch.optim.Adam(network.parameters(), lr=spec.training.learning_rate)
     step = _restore(out / CHECKPOINT, spec, network, optimiser)
     if start is not None and step == 0:
@@ -126,12 +137,9 @@ def train(
         TimeRemainingColumn(),
         transient=not sys.stderr.isatty(),
     ) as progress:
-        loading = progress.add_task("load", total=len(sequences))
-        examples: list[Example] = []
-        for sequence in sequences:
-            examples += load_examples(sequence, spec, Strips(1))
-            progress.advance(loading)
-        _forget_after(out / "log.csv", step)
+        # a list of its own: previous outputs are this model's
+        examples = list(examples) or load_all(data, spec, progress)
+        _forget_after(out / LOG, step)
         (out / "data.json").write_text(json.dumps([path.name for path in sequences], indent=1))
         recipe = spec.training
         resumed = recipe.history_from and step > recipe.history_from
@@ -148,7 +156,7 @@ def train(
                 _recall(examples, sequences, out / PREVIOUS, progress)
             for group in optimiser.param_groups:
                 group["lr"] = learning_rate(step, spec)
-            loss = reconstruct_loss(network, sampler.batch(step), spec)
+            loss = reconstruct_loss(network, sampler.batch(step), spec, family)
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
@@ -156,11 +164,35 @@ def train(
             step += 1
             progress.advance(task)
             if step % _LOG_EVERY == 0:
-                _log(out / "log.csv", step, float(np.mean(losses)), time.monotonic() - began)
+                _log(out / LOG, step, float(np.mean(losses)), time.monotonic() - began)
                 losses = []
             if step % save_every == 0 or step == spec.training.steps:
                 _save(out / CHECKPOINT, spec, network, optimiser, step)
     return network
+
+
+def load_all(data: list[Path], spec: ModelSpec, progress: Progress) -> list[Example]:
+    """The examples of all sequences of some folders.
+
+    Raises
+    ------
+    InputError
+        There are no finished sequences.
+    """
+    sequences = _all_sequences(data)
+    loading = progress.add_task("load", total=len(sequences))
+    examples: list[Example] = []
+    for sequence in sequences:
+        examples += load_examples(sequence, spec, Strips(1))
+        progress.advance(loading)
+    return examples
+
+
+def _all_sequences(data: list[Path]) -> list[Path]:
+    sequences = [path for folder in data for path in find_sequences(folder)]
+    if not sequences:
+        raise InputError(f"data must hold finished sequences, got {', '.join(map(str, data))}")
+    return sequences
 
 
 def _export_for_recall(network: nn.Module, spec: ModelSpec, path: Path) -> None:
@@ -245,9 +277,11 @@ def start_from(checkpoint: Path, network: nn.Module, spec: ModelSpec) -> dict[st
     return {"model": before["name"], "steps": int(metadata["step"])}
 
 
-def load_network(spec: ModelSpec, checkpoint: Path) -> tuple[nn.Module, int]:
+def load_network(
+    spec: ModelSpec, checkpoint: Path, family: Family | None = None
+) -> tuple[nn.Module, int]:
     """A network with a checkpoint's weights, and the steps it was trained for."""
-    network = FAMILIES[spec.family].network(spec)
+    network = (family or FAMILIES[spec.family]).network(spec)
     step = _restore(checkpoint, spec, network, None)
     if step == 0:
         raise InputError(f"{checkpoint}: no such checkpoint")

@@ -4,12 +4,15 @@ Six RepVGG blocks give every pixel its own 13x13 kernel, a channel a weight (Bak
 ours give six importance maps, whose kernels neighbours share. Input, accumulation, demodulation and
 loss are the same, so that the two differ in nothing but the kernels.
 
-Not trained here: the network and `predicted_kernels` take what the training loop has in a batch.
+`FAMILY` takes the specification of a model of ours with one kernel size and trains and runs it in
+this way instead. It is not among the families that specifications name: no user's model is one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,7 +20,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from stillray.models_spec import ModelSpec
+from stillray.models_spec.loader import FusedKernels, ImportanceNetwork
 from stillray.strips import planes_of
+from stillray.training.families import BoxFilter, Family
 from stillray.training.networks.repvgg import RepVGGBlock
 
 
@@ -28,6 +34,7 @@ class KernelPrediction:
     kernel_size: int = 13  # pixels, odd: filter kernels
     widths: tuple[int, ...] = (16,) * 5  # output channels of every block but the last
     branches: tuple[int, ...] = (5, 3, 1)  # pixels, odd: convolutions trained side by side
+    identity: bool = True  # an identity branch where input and output widths agree
     logit_bound: float = 12.0  # logits are clipped to +- this, (0, 40]
     weigh_samples: bool = True  # multiply weights by the samples that a pixel holds
 
@@ -53,7 +60,7 @@ class KernelPredictionNet(nn.Module):
                     widths[index],
                     widths[index + 1],
                     options.branches,
-                    identity=True,
+                    identity=options.identity,
                     activation=index != last,
                 )
                 for index in range(len(widths) - 1)
@@ -86,15 +93,47 @@ def predicted_kernels(
     (n, 3, h, w)
         Differentiable in all arguments.
     """
-    n, _, height, width = irradiance_nchw.shape
-    size = options.kernel_size
     here = samples_nchw if options.weigh_samples else torch.ones_like(samples_nchw)
     # zero samples outside: those taps vanish from both sums
-    planes = torch.cat([irradiance_nchw * here, here], dim=1)
-    windows = F.unfold(planes, size, padding=size // 2).view(n, 4, size**2, height, width)
-    bounded = logits_nchw.clamp(-options.logit_bound, options.logit_bound)
-    sums = (windows * bounded.softmax(dim=1)[:, None]).sum(dim=2)
+    planes = F.pad(torch.cat([irradiance_nchw * here, here], dim=1), [options.kernel_size // 2] * 4)
+    bounded = logits_nchw.contiguous().clamp(-options.logit_bound, options.logit_bound)
+    sums = _WindowSums.apply(planes, bounded.softmax(dim=1), options.kernel_size)
     return sums[:, :3] / sums[:, 3:]
+
+
+class _WindowSums(torch.autograd.Function):
+    """Weighted sums of k x k windows, a tap at a time: unfolded, a batch takes k k times as much.
+
+    From ``(n, c, h + k - 1, w + k - 1)`` and weights ``(n, k k, h, w)`` to ``(n, c, h, w)``.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, planes: Tensor, weights: Tensor, size: int) -> Tensor:
+        ctx.save_for_backward(planes, weights)
+        ctx.size = size
+        height, width = weights.shape[2:]
+        total = planes.new_zeros(*planes.shape[:2], height, width)
+        for index, rows, columns in _windows(size, height, width):
+            total.addcmul_(weights[:, index : index + 1], planes[:, :, rows, columns])
+        return total
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Any) -> tuple[Tensor | None, Tensor, None]:
+        (given,) = gradients
+        planes, weights = ctx.saved_tensors
+        to_planes = torch.zeros_like(planes) if ctx.needs_input_grad[0] else None
+        to_weights = torch.empty_like(weights)
+        for index, rows, columns in _windows(ctx.size, *weights.shape[2:]):
+            torch.sum(given * planes[:, :, rows, columns], dim=1, out=to_weights[:, index])
+            if to_planes is not None:
+                to_planes[:, :, rows, columns].addcmul_(weights[:, index : index + 1], given)
+        return to_planes, to_weights, None
+
+
+def _windows(size: int, height: int, width: int) -> Iterator[tuple[int, slice, slice]]:
+    for index in range(size**2):
+        dy, dx = divmod(index, size)
+        yield index, slice(dy, dy + height), slice(dx, dx + width)
 
 
 def filter_rows(
@@ -142,3 +181,31 @@ def filter_rows(
         return filter_rows(mean, np.nan_to_num(logits, nan=0.0), inner, options)
     total /= weight_sum
     return cv2.merge(list(total))
+
+
+def options_of(spec: ModelSpec) -> KernelPrediction:
+    """The peer of a model with one kernel size: the same network up to its last block."""
+    network, decoder = spec.network, spec.decoder
+    assert isinstance(network, ImportanceNetwork)
+    assert isinstance(decoder, FusedKernels)
+    (kernel_size,) = decoder.kernel_sizes
+    return KernelPrediction(
+        kernel_size=kernel_size,
+        widths=network.widths,
+        branches=network.branches,
+        identity=network.identity,
+        logit_bound=decoder.logit_bound,
+        weigh_samples=decoder.weigh_samples,
+    )
+
+
+def _network(spec: ModelSpec) -> nn.Module:
+    return KernelPredictionNet(len(spec.network.features), options_of(spec))
+
+
+def _decode(logits: Tensor, batch: Mapping[str, Tensor], spec: ModelSpec, box: BoxFilter) -> Tensor:
+    return predicted_kernels(batch["irradiance"], batch["samples"], logits, options_of(spec))
+
+
+#: For training, as `stillray.training.families.FAMILIES` has them.
+FAMILY = Family(_network, _decode, inputs=("irradiance", "samples"), modulates=False)
