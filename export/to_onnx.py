@@ -51,6 +51,26 @@ class WholeDenoise(nn.Module):
         return family.decode(self.network(features), batch, self.spec, pooled_box_mean)
 
 
+class BoundedLogits(nn.Module):
+    """A network whose logits are clipped as its decoder would clip them.
+
+    ONNX Runtime does it within the last convolution, for nothing; the runtime's decoders find that
+    it is done and leave it out.
+    """
+
+    def __init__(self, network: nn.Module, bound: float) -> None:
+        super().__init__()
+        self.network = network
+        self.bound = bound
+
+    def forward(self, features: Tensor) -> Tensor | tuple[Tensor, ...]:
+        """``(n, features, h, w)`` to logits, one map or one a level."""
+        outputs = self.network(features)
+        if isinstance(outputs, Tensor):
+            return outputs.clamp(-self.bound, self.bound)
+        return tuple(level.clamp(-self.bound, self.bound) for level in outputs)
+
+
 def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out: Path) -> Path:
     """Write both graphs of a model, after checking that they compute what was trained.
 
@@ -105,8 +125,9 @@ def network_graph(fused: nn.Module, spec: ModelSpec, provenance: dict[str, Any])
     with torch.no_grad():
         given = fused(_features(spec))
     names = ["logits"] if isinstance(given, Tensor) else [f"logits_{i}" for i in range(len(given))]
+    bound: float | None = getattr(spec.decoder, "logit_bound", None)
     return to_model(
-        fused,
+        fused if bound is None else BoundedLogits(fused, bound).eval(),
         (_features(spec),),
         ["features"],
         names,

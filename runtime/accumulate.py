@@ -73,7 +73,7 @@ def sample_weight(
     # in exposed units: s e = t / (1 - t); DARK is a small share of the frame's typical value
     usual = scratch.array("usual", local.shape)
     weight = scratch.array("weight", local.shape)
-    np.clip(local, np.float32(0), np.float32(0.9999), out=usual)
+    cv2.threshold(local, 0.9999, 0, cv2.THRESH_TRUNC, dst=usual)  # a third of np.minimum's time
     usual /= np.subtract(1, usual, out=weight)
     usual += np.float32(DARK)
     if held is not None:
@@ -153,7 +153,7 @@ def accumulate(
     scratch = scratch or Scratch()
     samples = planes[3]
     rest = scratch.array("rest", samples.shape)
-    np.clip(samples, np.float32(0), np.float32(options.max_samples), out=rest)
+    cv2.threshold(samples, options.max_samples, 0, cv2.THRESH_TRUNC, dst=rest)
     np.add(rest, weight, out=samples)
     share = np.divide(weight, samples, out=scratch.array("share", samples.shape))
     # not 1 - share: a past that is worth little would lose its digits, and it may be very bright

@@ -16,7 +16,7 @@ from stillray.frame import Frame
 from stillray.models_spec.loader import ModelSpec
 from stillray.repair import Buffers
 from stillray.scratch import Scratch
-from stillray.strips import FILTER_PIXELS, Strips, interleave, planes_of, with_halo
+from stillray.strips import Strips, interleave, planes_of, with_halo
 from stillray.timing import timed, timed_pass
 
 
@@ -285,7 +285,7 @@ def _local_luminance(
         encode.tone_map(luminance[near], exposure, out=toned)
         out[rows] = encode.local_luminance(toned, spec.transfer)[own]
 
-    strips.run(work, height, width, pixels=FILTER_PIXELS)
+    strips.run(work, height, width)
 
 
 def rough_blocks(packed: np.ndarray, strips: Strips, kept: Scratch) -> np.ndarray:

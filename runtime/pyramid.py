@@ -16,10 +16,11 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
+from stillray.kernels import bounded_exp
 from stillray.models_spec.loader import ModelSpec, PyramidKernels, PyramidNetwork
 from stillray.prepare import Prepared
 from stillray.scratch import Scratch
-from stillray.strips import FILTER_PIXELS, Strips, interleave, planes_of, with_halo
+from stillray.strips import Strips, interleave, planes_of, with_halo
 from stillray.timing import timed
 
 #: Neighbours of the resolve in the order of their logits: (rows down, columns right).
@@ -228,7 +229,7 @@ def _filtered(
         maps = logits[0][finest.resolve, rows, :width]
         _resolve(padded, maps, past, options, image[rows], strips.scratch)
 
-    strips.run(finish, height, width, pixels=FILTER_PIXELS)
+    strips.run(finish, height, width)
     return image
 
 
@@ -253,7 +254,7 @@ def _renewed(
         if sample is not None:
             new = planes_of(sample[rows], out=scratch.array("new", (4, *shape)))
             more, total = scratch.array("more", shape), scratch.array("total", shape)
-            _bounded_exp(renew[rows], options, more)
+            bounded_exp(renew[rows], options.logit_bound, more)
             held = np.add(more, 1, out=scratch.array("held", shape))
             more *= new[3]
             np.add(part[3], more, out=total)
@@ -283,7 +284,7 @@ def _pool(
         source = slice(2 * rows.start, 2 * rows.stop)
         shape = (source.stop - source.start, 2 * width)
         weight, product = scratch.array("weight", shape), scratch.array("product", shape)
-        _bounded_exp(pool[source], options, weight)
+        bounded_exp(pool[source], options.logit_bound, weight)
         total = _halve(weight)
         weight *= fine[3, source]
         held = _halve(weight)
@@ -347,7 +348,8 @@ def _blend(
     shape = (rows.stop - rows.start, width)
     maps = logits[layout.blend, rows]
     shares = scratch.array("shares", maps.shape)
-    _bounded_exp(maps, options, shares)
+    for logit, share in zip(maps, shares, strict=True):
+        bounded_exp(logit, options.logit_bound, share)
     others = list(shares)
     if coarser is None:  # itself at logit 0, then the kernels
         np.copyto(out, planes[:3, rows])
@@ -364,7 +366,7 @@ def _blend(
         near, inner = with_halo(rows, size // 2, height)
         strip = (near.stop - near.start, width)
         weight, product, box = (scratch.array(name, strip) for name in ("weight", "product", "box"))
-        _bounded_exp(logits[layout.importance][index, near], options, weight)
+        bounded_exp(logits[layout.importance][index, near], options.logit_bound, weight)
         weight *= planes[3, near]
         share /= _box(weight, size, box)[inner]
         for plane, sums in zip(planes, out, strict=False):
@@ -398,7 +400,8 @@ def _resolve(
     """
     height, width = out.shape[:2]
     weights = scratch.array("weights", logits.shape)
-    _bounded_exp(logits, options, weights)
+    for logit, weight in zip(logits, weights, strict=True):
+        bounded_exp(logit, options.logit_bound, weight)
     normal = scratch.array("normal", (height, width))
     np.add(weights[0], weights[1], out=normal)
     for weight in weights[2:-1]:
@@ -442,10 +445,3 @@ def _double(planes: np.ndarray) -> np.ndarray:
     for plane, target in zip(planes, doubled, strict=True):
         cv2.resize(plane, (2 * width, 2 * height), dst=target, interpolation=cv2.INTER_LINEAR)
     return doubled
-
-
-def _bounded_exp(logits: np.ndarray, options: PyramidKernels, out: np.ndarray) -> None:
-    bound = np.float32(options.logit_bound)
-    np.clip(logits, -bound, bound, out=out)
-    flat = out.reshape(-1, out.shape[-1])
-    cv2.exp(flat, dst=flat)

@@ -17,10 +17,9 @@ import numpy as np
 
 from stillray.scratch import Scratch
 
-# 256 KiB a float32 plane. Smaller strips stay in a nearer cache, but each has a price: calls that
-# are short beside the wait for the interpreter's lock, the rows that a filter reads beyond it.
-STRIP_PIXELS = 1 << 16
-FILTER_PIXELS = 1 << 17  # where a filter reads rows beyond the strip, which is done twice
+# 512 KiB a float32 plane. Smaller strips stay in a nearer cache, but each has a price, more than a
+# millisecond where it runs through two hundred calls; and a filter reads rows beyond it.
+STRIP_PIXELS = 1 << 17
 # What strips are cut to must not depend on the threads, so that pictures do not either.
 _SHARES = 8  # strips of a small frame, for as many threads
 _LEAST_ROWS = 32

@@ -11,6 +11,7 @@ from stillray.export import parity, to_onnx  # noqa: E402
 from stillray.export.fuse import fuse  # noqa: E402
 from stillray.models_spec import load  # noqa: E402
 from stillray.registry import WHOLE_SUFFIX, find_model, list_models, read_model  # noqa: E402
+from stillray.session import open_session  # noqa: E402
 from stillray.training.families import FAMILIES  # noqa: E402
 
 
@@ -48,6 +49,23 @@ def test_both_graphs_agree_with_the_network_at_every_size(exported):
         "runtime decoder",
         "whole graph",
     }
+
+
+def test_exported_logits_are_clipped_as_the_decoder_would(exported):
+    spec, network, path = exported
+    bound = getattr(spec.decoder, "logit_bound", None)
+    if bound is None:
+        pytest.skip("the decoder has no bound")
+    rng = np.random.default_rng(1)
+    shape = (1, len(spec.network.features), 16, 32)
+    features = rng.uniform(-1e3, 1e3, shape).astype(np.float32)
+    with torch.no_grad():
+        outputs = fuse(network)(torch.from_numpy(features))
+    wanted = [outputs] if isinstance(outputs, torch.Tensor) else outputs
+    got = open_session(path, threads=1).run(None, {"features": features})
+    assert max(level.abs().max() for level in wanted) > 2 * bound
+    for logits, level in zip(got, wanted, strict=True):
+        np.testing.assert_allclose(logits, level.clamp(-bound, bound), atol=0.01)
 
 
 def test_parity_fails_loudly_when_one_weight_is_off(exported):
