@@ -92,11 +92,25 @@ def filter_rows(
         end at the border of the image, as if zero importance lay outside.
     """
     scratch = scratch or Scratch()
+    if out is None:
+        out = np.empty((inner.stop - inner.start, mean.shape[1], 3), np.float32)
+    interleave(filter_planes(mean, logits, inner, options, scratch), out=out)
+    if np.isnan(out.max()):  # a NaN logit says nothing: 0
+        return filter_rows(mean, np.nan_to_num(logits, nan=0.0), inner, options, out, scratch)
+    return out
+
+
+def filter_planes(
+    mean: np.ndarray,
+    logits: np.ndarray,
+    inner: slice,
+    options: FusedKernels,
+    scratch: Scratch,
+) -> np.ndarray:
+    """`filter_rows` as planes ``(3, rows, w)``, in the scratch; without a look for NaN logits."""
     # fewer kernels than maps: the first ones
     count, (height, width) = len(logits) // 2, mean.shape[:2]
     shape = inner.stop - inner.start, width
-    if out is None:
-        out = np.empty((*shape, 3), np.float32)
     *planes, samples = planes_of(mean, out=scratch.array("mean", (4, height, width)))
     total, alpha_sum = scratch.array("total", (3, *shape)), scratch.array("alpha_sum", shape)
     share = scratch.array("share", shape)
@@ -108,24 +122,21 @@ def filter_rows(
         importance, product, box = (
             scratch.array(name, strip) for name in ("importance", "product", "box")
         )
-        _bounded_exp(logits[index, rows], options.logit_bound, importance)
+        bounded_exp(logits[index, rows], options.logit_bound, importance)
         if options.weigh_samples:
             importance *= samples[rows]
         # Normalised kernels keep sums of large radiance finite. sepFilter2D adds each window
         # anew: boxFilter's running sums keep a residue of every firefly that has passed, which
         # drowns darker windows (and it is no faster here).
         kernel = np.full(size, 1 / size, np.float32)
-        _bounded_exp(logits[count + index, inner], options.logit_bound, share)
+        bounded_exp(logits[count + index, inner], options.logit_bound, share)
         alpha_sum += share
         share /= _box(importance, kernel, box)[own]
         for plane, sums in zip(planes, total, strict=True):
             np.multiply(importance, plane[rows], out=product)
             cv2.accumulateProduct(_box(product, kernel, box)[own], share, sums)
     total /= alpha_sum
-    interleave(total, out=out)
-    if np.isnan(out.max()):  # a NaN logit says nothing: 0
-        return filter_rows(mean, np.nan_to_num(logits, nan=0.0), inner, options, out, scratch)
-    return out
+    return total
 
 
 def _box(plane: np.ndarray, kernel: np.ndarray, out: np.ndarray) -> np.ndarray:
@@ -133,7 +144,8 @@ def _box(plane: np.ndarray, kernel: np.ndarray, out: np.ndarray) -> np.ndarray:
     return cv2.sepFilter2D(plane, cv2.CV_32F, kernel, kernel, dst=out, borderType=border)
 
 
-def _bounded_exp(logits: np.ndarray, bound: float, out: np.ndarray) -> None:
+def bounded_exp(logits: np.ndarray, bound: float, out: np.ndarray) -> None:
+    """The exponential of logits clipped to +- a bound, ``(h, w)`` float32."""
     # bounded logits need no maximum subtracted: exp stays within e^-bound .. e^bound
     np.clip(logits, np.float32(-bound), np.float32(bound), out=out)
     cv2.exp(out, dst=out)
