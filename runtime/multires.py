@@ -54,7 +54,8 @@ def method(spec: ModelSpec) -> str:
     """What the reconstruction does, in a few words."""
     assert isinstance(spec.network, PyramidNetwork)
     assert isinstance(spec.decoder, FusedKernels)
-    return f"{len(spec.decoder.kernel_sizes)} fused kernels at {len(spec.network.widths)} resolutions"
+    kernels, levels = len(spec.decoder.kernel_sizes), len(spec.network.widths)
+    return f"{kernels} fused kernels at each of {levels} resolutions"
 
 
 def reconstruct(
@@ -129,9 +130,7 @@ def _reconstructed(
     with timed(timings, "reconstruct"):
         means = _resolutions(prepared.history.mean, logits, options, strips)
         for level in reversed(range(1, levels)):
-            coarser = _level(
-                means[level], coarser, logits[level], settled[level], options, strips
-            )
+            coarser = _level(means[level], coarser, logits[level], settled[level], options, strips)
     with timed_pass(timings) as part:
 
         def work(blocks: slice) -> None:

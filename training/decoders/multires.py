@@ -44,18 +44,16 @@ def multi_resolution_kernels(
     for _ in logits[1:]:
         weight = held[-1] if options.weigh_samples else torch.ones_like(held[-1])
         sums = F.avg_pool2d(torch.cat([weight * light[-1], weight, held[-1]], 1), 2)
-        light.append(sums[:, :3] / sums[:, 3:4])
-        held.append(sums[:, 4:])
+        weighted, total, samples = sums.split((3, 1, 1), 1)
+        light.append(weighted / total)
+        held.append(samples)
     maps = 2 * len(options.kernel_sizes)
-    result: Tensor | None = None
-    for level in reversed(range(len(logits))):
-        fine = fused_kernels(light[level], held[level], logits[level][:, :maps], options, box)
-        if result is None:
-            result = fine
-        else:
-            alpha = logits[level][:, maps:].clamp(-options.logit_bound, options.logit_bound)
-            result = blended(fine, result, alpha.sigmoid())
-    assert result is not None
+    result = fused_kernels(light[-1], held[-1], logits[-1], options, box)
+    for level in reversed(range(len(logits) - 1)):
+        filters, alpha = logits[level].split((maps, 1), 1)
+        fine = fused_kernels(light[level], held[level], filters, options, box)
+        bounded = alpha.clamp(-options.logit_bound, options.logit_bound)
+        result = blended(fine, result, bounded.sigmoid())
     return result
 
 
