@@ -249,6 +249,7 @@ class ModelSpec:
 FAMILIES = {
     "weight-sharing-kernels": Family(ImportanceNetwork, FusedKernels),
     "kernel-pyramid": Family(PyramidNetwork, PyramidKernels),
+    "multi-resolution-kernels": Family(PyramidNetwork, FusedKernels),
     "bilateral-grids": Family(GuideNetwork, BilateralGrids),
 }
 

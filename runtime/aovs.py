@@ -1,9 +1,9 @@
 """Other layers of a frame, filtered exactly as its beauty was: their sums stay sums.
 
 All that the pipeline does to color is linear once its weights are known: the divisor, what a sample
-is worth, where the past is taken from, the kernels, the resolve. So a layer goes the way of the
-beauty again with the beauty's weights, and with a past of its own. Where layers add up to the
-beauty, what comes out adds up to the denoised beauty, to float rounding.
+is worth, where the past is taken from, the kernels, the blends, the resolve. So a layer goes the
+way of the beauty again with the beauty's weights, and with a past of its own. Where layers add up
+to the beauty, what comes out adds up to the denoised beauty, to float rounding.
 """
 
 from __future__ import annotations
@@ -94,6 +94,8 @@ def filter_layers(
     factor = _factor(frame, prepared, worth)
     broken = ~np.isfinite(frame.color).all(axis=-1)
     accumulated = _accumulation(prepared, history, weight, spec, strips)
+    if family.settle is not None:
+        outputs = family.settle(prepared, outputs, spec, strips)
     images, pasts = {}, {}
     for name, layer in layers.items():
         radiance = np.where(np.isfinite(layer), layer, np.float32(0))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillray import grid, kernels, pyramid
+from stillray import grid, kernels, multires, pyramid
 from stillray.models_spec.loader import ModelSpec
 from stillray.prepare import Prepared
 from stillray.strips import Strips
@@ -33,6 +33,10 @@ class Family:
         Whether this frame's sample is used beside what was accumulated.
     method
         What the reconstruction does, in a few words.
+    settle
+        From a prepared frame, the network's outputs, the specification and where to run, to the
+        outputs by which `reconstruct` filters other layers as it filters the frame's light. None
+        where the outputs say it all, whatever light they meet.
     """
 
     reconstruct: Callable[
@@ -51,6 +55,9 @@ class Family:
     recalls: bool
     renews: bool
     method: Callable[[ModelSpec], str]
+    settle: (
+        Callable[[Prepared, Sequence[np.ndarray], ModelSpec, Strips], Sequence[np.ndarray]] | None
+    ) = None
 
 
 #: By the name that specifications use.
@@ -70,6 +77,15 @@ FAMILIES = {
         recalls=True,
         renews=True,
         method=pyramid.method,
+    ),
+    "multi-resolution-kernels": Family(
+        multires.reconstruct,
+        multires.multiple,
+        multires.reach,
+        recalls=False,
+        renews=False,
+        method=multires.method,
+        settle=multires.settle,
     ),
     "bilateral-grids": Family(
         grid.reconstruct,

@@ -92,11 +92,25 @@ def filter_rows(
         end at the border of the image, as if zero importance lay outside.
     """
     scratch = scratch or Scratch()
+    if out is None:
+        out = np.empty((inner.stop - inner.start, mean.shape[1], 3), np.float32)
+    interleave(filter_planes(mean, logits, inner, options, scratch), out=out)
+    if np.isnan(out.max()):  # a NaN logit says nothing: 0
+        return filter_rows(mean, np.nan_to_num(logits, nan=0.0), inner, options, out, scratch)
+    return out
+
+
+def filter_planes(
+    mean: np.ndarray,
+    logits: np.ndarray,
+    inner: slice,
+    options: FusedKernels,
+    scratch: Scratch,
+) -> np.ndarray:
+    """`filter_rows` as planes ``(3, rows, w)``, in the scratch; without a look for NaN logits."""
     # fewer kernels than maps: the first ones
     count, (height, width) = len(logits) // 2, mean.shape[:2]
     shape = inner.stop - inner.start, width
-    if out is None:
-        out = np.empty((*shape, 3), np.float32)
     *planes, samples = planes_of(mean, out=scratch.array("mean", (4, height, width)))
     total, alpha_sum = scratch.array("total", (3, *shape)), scratch.array("alpha_sum", shape)
     share = scratch.array("share", shape)
@@ -122,10 +136,7 @@ def filter_rows(
             np.multiply(importance, plane[rows], out=product)
             cv2.accumulateProduct(_box(product, kernel, box)[own], share, sums)
     total /= alpha_sum
-    interleave(total, out=out)
-    if np.isnan(out.max()):  # a NaN logit says nothing: 0
-        return filter_rows(mean, np.nan_to_num(logits, nan=0.0), inner, options, out, scratch)
-    return out
+    return total
 
 
 def _box(plane: np.ndarray, kernel: np.ndarray, out: np.ndarray) -> np.ndarray:

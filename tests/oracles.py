@@ -145,6 +145,45 @@ def kernel_pyramid(
     return resolved
 
 
+def multi_resolution_kernels(
+    mean: np.ndarray, logits: list[np.ndarray], options: FusedKernels
+) -> np.ndarray:
+    """Fan et al. 2021, eq. 7, pixel by pixel and limited; arrays as the runtime's."""
+    height, width = mean.shape[:2]
+    full = logits[0].shape[1:]
+    padding = [(0, full[axis] - mean.shape[axis]) for axis in (0, 1)]
+    padded = np.pad(mean.astype(np.float64), [*padding, (0, 0)], mode="edge")
+    pyramid = [(padded[..., :3], padded[..., 3])]
+    for _ in logits[1:]:
+        light, held = pyramid[-1]
+        half = (held.shape[0] // 2, held.shape[1] // 2)
+        coarse, samples = np.zeros((*half, 3)), np.zeros(half)
+        for y, x in np.ndindex(half):
+            block = [(2 * y + a, 2 * x + b) for a in (0, 1) for b in (0, 1)]
+            weights = [held[p] if options.weigh_samples else 1.0 for p in block]
+            coarse[y, x] = np.average([light[p] for p in block], axis=0, weights=weights)
+            samples[y, x] = np.mean([held[p] for p in block])
+        pyramid.append((coarse, samples))
+    result = np.zeros(0)
+    maps = 2 * len(options.kernel_sizes)
+    for level in reversed(range(len(logits))):
+        fine = fused_kernels(*pyramid[level], logits[level][:maps], options)
+        if level == len(logits) - 1:
+            result = fine
+            continue
+        blended = np.zeros_like(fine)
+        for y, x in np.ndindex(fine.shape[:2]):
+            coarser = result[y // 2, x // 2]
+            block = fine[y // 2 * 2 : y // 2 * 2 + 2, x // 2 * 2 : x // 2 * 2 + 2]
+            logit = np.clip(logits[level][maps, y, x], -options.logit_bound, options.logit_bound)
+            alpha = 1 / (1 + np.exp(-np.float64(logit)))
+            moved = fine[y, x] - alpha * block.mean((0, 1)) + alpha * coarser
+            least = np.minimum(block.min((0, 1)), coarser)
+            blended[y, x] = np.clip(moved, least, np.maximum(block.max((0, 1)), coarser))
+        result = blended
+    return result[:height, :width]
+
+
 def bilateral_grids(mean: np.ndarray, maps: np.ndarray, options: BilateralGrids) -> np.ndarray:
     """Meng et al. 2020, eq. 9 to 15, a pixel and a cell at a time; arrays as the runtime's."""
     height, width = mean.shape[:2]

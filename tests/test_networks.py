@@ -37,7 +37,7 @@ def test_block_s_gradients_equal_those_of_its_branches():
         torch.testing.assert_close(one, other)
 
 
-@pytest.mark.parametrize("name", ["wskp-3", "wskp-6", "kpyr-5", "nbg-7x3"])
+@pytest.mark.parametrize("name", ["wskp-3", "wskp-6", "kpyr-5", "nbg-7x3", "wskp-mr"])
 def test_fused_network_equals_the_trained_one_which_stays_as_it_was(name):
     torch.manual_seed(0)
     spec = load(name)

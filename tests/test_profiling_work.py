@@ -62,8 +62,9 @@ def test_the_floor_is_the_dearer_of_operations_and_bytes():
     assert Work(operations=4e6, bytes=3e6).floor(peaks) == pytest.approx(3)
 
 
-def test_every_stage_that_runs_has_work_and_less_buffers_are_less_of_it():
-    info = find_model("kpyr-5")
+@pytest.mark.parametrize("model", ["kpyr-5", "wskp-mr"])
+def test_every_stage_that_runs_has_work_and_less_buffers_are_less_of_it(model):
+    info = find_model(model)
     full = swing(16, 24)[0]
     with Denoiser(info) as denoiser:
         for _ in range(2):

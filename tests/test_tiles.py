@@ -97,13 +97,15 @@ def differences(model, frames):
 TOLERANCE = 1e-5
 
 
-@pytest.mark.parametrize("model", ["wskp-3", "wskp-6"])
-def test_tiles_are_the_whole_frame_but_for_rounding(in_tiles, model):
-    in_tiles(64)
+@pytest.mark.parametrize(
+    ("model", "size", "short"), [("wskp-3", 64, 3), ("wskp-6", 64, 3), ("wskp-mr", 128, 8)]
+)
+def test_tiles_are_the_whole_frame_but_for_rounding(in_tiles, model, size, short):
+    in_tiles(size)
     frames = [make_frame(97, 150, seed, shift=1.5) for seed in range(3)]
     assert max(differences(model, frames)) < TOLERANCE
     # one pixel less than needed shows, so what is seen is not more than needed by much
-    in_tiles(64, halo=3)
+    in_tiles(size, halo=short)
     assert max(differences(model, frames)) > TOLERANCE
 
 

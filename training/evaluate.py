@@ -46,9 +46,10 @@ of kpyr-5 was watched on them, so read these figures as validation, not as a tes
 al. 2017) and BMFR (Koskela et al. 2019) are our own implementations in `training/peers`, with
 published parameters, which remember frames too. OIDN is Open Image Denoise with albedo and normal,
 fed the raw frame, or the frame as accumulated for our kernels. The bilateral grids (nbg) had 1200
-short steps only. Flicker is the mean absolute error of the tone-mapped difference between the last
-two frames. FovVideoVDP (Mantiuk et al. 2021) sees the same two frames, at 30 frames a second after
-a still of the first, on a 24-inch Full HD monitor of 200 cd/m², 38 pixels a degree, not foveated.
+short steps only, wskp-mr 600. Flicker is the mean absolute error of the tone-mapped difference
+between the last two frames. FovVideoVDP (Mantiuk et al. 2021) sees the same two frames,
+at 30 frames a second after a still of the first, on a 24-inch Full HD monitor of 200 cd/m²,
+38 pixels a degree, not foveated.
 References have noise of their own: "fed the references" is about what a perfect picture would
 score.
 

@@ -13,10 +13,11 @@ from stillray.models_spec.loader import BilateralGrids, FusedKernels, PyramidKer
 from stillray.training.decoders.bilateral_grids import bilateral_grids
 from stillray.training.decoders.boxes import BoxMean
 from stillray.training.decoders.fused_kernels import fused_kernels
+from stillray.training.decoders.multires import multi_resolution_kernels
 from stillray.training.decoders.pyramid import kernel_pyramid, renewed, resolve
 from stillray.training.networks.guide import GuideNet
 from stillray.training.networks.importance import ImportanceNet
-from stillray.training.networks.pyramid import PyramidNet
+from stillray.training.networks.pyramid import kernel_pyramid_net, multi_resolution_net
 
 BoxFilter = Callable[[Tensor, int], Tensor]
 
@@ -72,6 +73,15 @@ def _pyramid(
     )
 
 
+def _multires(
+    logits: tuple[Tensor, ...], batch: Mapping[str, Tensor], spec: ModelSpec, box: BoxFilter
+) -> Tensor:
+    assert isinstance(spec.decoder, FusedKernels)
+    return multi_resolution_kernels(
+        batch["irradiance"], batch["samples"], logits, spec.decoder, box
+    )
+
+
 def _grids(maps: Tensor, batch: Mapping[str, Tensor], spec: ModelSpec, box: BoxFilter) -> Tensor:
     assert isinstance(spec.decoder, BilateralGrids)
     return bilateral_grids(batch["irradiance"], batch["samples"], maps, spec.decoder)
@@ -83,10 +93,18 @@ FAMILIES = {
         ImportanceNet, _fused, inputs=("irradiance", "samples"), modulates=False
     ),
     "kernel-pyramid": Family(
-        PyramidNet,
+        kernel_pyramid_net,
         _pyramid,
         inputs=("irradiance", "samples", "new", "worth", "divisor", "previous", "valid"),
         modulates=True,
+    ),
+    "multi-resolution-kernels": Family(
+        multi_resolution_net,
+        _multires,
+        inputs=("irradiance", "samples"),
+        modulates=False,
+        # eq. 7 takes a block's mean away and adds another: what is left is rounded as the means are
+        leak=0.1,
     ),
     "bilateral-grids": Family(
         GuideNet,

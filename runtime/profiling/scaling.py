@@ -240,8 +240,9 @@ def with_kernels(spec: ModelSpec, sizes: tuple[int, ...]) -> ModelSpec:
     InputError
         The model has no fused kernels.
     """
-    if not isinstance(spec.decoder, FusedKernels):
+    if spec.family != "weight-sharing-kernels":
         raise InputError(f"model must be of the weight-sharing kernels, got {spec.name}")
+    assert isinstance(spec.decoder, FusedKernels)
     return replace(spec, decoder=replace(spec.decoder, kernel_sizes=sizes))
 
 

@@ -77,8 +77,7 @@ def _each_pixel(spec: ModelSpec, frame: Frame) -> dict[str, tuple[float, float]]
     features = len(spec.network.features)
     buffers = sum(_CHANNELS[name] for name in frame.given if name in _CHANNELS)
     local = 3 + _WINDOW_SUM + 1  # tone map, window, scale
-    reconstruction = {FusedKernels: _kernels, PyramidKernels: _pyramid, BilateralGrids: _grids}
-    operations, planes = reconstruction[type(spec.decoder)](spec)
+    operations, planes = _RECONSTRUCTION[spec.family](spec)
     return {
         "repair": (2 * buffers, buffers),
         # limit, divide and luminance; color and albedo are in the cache, which repair has read
@@ -135,6 +134,30 @@ def _grids(spec: ModelSpec) -> tuple[float, float]:
         operations += 2 * (corners * 4 * 2) + cells * 4 * (4 + 3) + 10 + 4 * 8
         planes += 2 * (1 + 4 + 4 * cells) + 1
     return operations, planes
+
+
+def _multires(spec: ModelSpec) -> tuple[float, float]:
+    operations, planes = 0.0, 0.0
+    coarsest = FAMILIES[spec.family].multiple(spec).bit_length() - 1
+    filtered, moved = _kernels(spec)
+    for level in range(coarsest + 1):
+        share = 0.25**level
+        operations += share * filtered
+        planes += share * moved
+        if level < coarsest:
+            # weighted means for the coarser level; the share that gives way, and of each channel
+            # a block's mean, least and most, the step to the coarser level and two limits
+            operations += share * (3 + 4 + _EXP + 2 + 3 * (3 + 2 + 2))
+            planes += share * (1 + 3 / 4)
+    return operations, planes
+
+
+_RECONSTRUCTION = {
+    "weight-sharing-kernels": _kernels,
+    "kernel-pyramid": _pyramid,
+    "multi-resolution-kernels": _multires,
+    "bilateral-grids": _grids,
+}
 
 
 def _network(info: ModelInfo, height: int, width: int) -> Work:

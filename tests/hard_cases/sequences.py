@@ -59,6 +59,7 @@ _KERNELS_MOVE_LIGHT = (
     kpyr_5=_KERNELS_MOVE_LIGHT,
     wskp_3=_KERNELS_MOVE_LIGHT,
     wskp_6=_KERNELS_MOVE_LIGHT,
+    wskp_mr=_KERNELS_MOVE_LIGHT,
 )
 def still_camera_keeps_its_light(denoiser: stillray.Denoiser) -> float:
     return abs(float(_still_camera(denoiser)["picture"][20:].mean()) - 1)

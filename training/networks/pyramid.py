@@ -1,13 +1,16 @@
-"""PyramidNet: a U-Net that gives the logits of `stillray.pyramid` at every resolution."""
+"""PyramidNet: a U-Net that gives logits at every resolution."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stillray.models_spec import ModelSpec
-from stillray.models_spec.loader import PyramidKernels, PyramidNetwork
+from stillray.models_spec.loader import FusedKernels, PyramidKernels, PyramidNetwork
+from stillray.multires import level_planes
 from stillray.pyramid import level_layout, level_logits
 from stillray.training.networks.repvgg import RepVGGBlock
 
@@ -23,18 +26,17 @@ class PyramidNet(nn.Module):
 
     Parameters
     ----------
-    spec
-        Its ``network`` gives features, widths and blocks; its ``decoder`` the logits.
+    network
+        Features, widths and blocks.
+    logits
+        Planes to give at each level, finest first.
     """
 
     #: Beginning of the names of the weights that meet the features.
     reads_features = "enter.0."
 
-    def __init__(self, spec: ModelSpec) -> None:
+    def __init__(self, network: PyramidNetwork, logits: Sequence[int]) -> None:
         super().__init__()
-        network, decoder = spec.network, spec.decoder
-        assert isinstance(network, PyramidNetwork)
-        assert isinstance(decoder, PyramidKernels)
         widths, levels = network.widths, len(network.widths)
 
         def blocks(width_in: int, width: int, count: int) -> nn.Sequential:
@@ -75,20 +77,10 @@ class PyramidNet(nn.Module):
             for level in range(levels - 1)
         )
         self.heads = nn.ModuleList(
-            convolution(
-                width,
-                level_logits(level, levels, decoder),
-                network.kernel_size if level == 0 else 1,
-            )
-            for level, width in enumerate(widths)
+            convolution(width, planes, network.kernel_size if level == 0 else 1)
+            for level, (width, planes) in enumerate(zip(widths, logits, strict=True))
         )
         self.concatenate = network.concatenate
-        # start from an unresolved picture: even shares would blur it and hide what to learn
-        finest = self.heads[0].bias
-        assert isinstance(finest, Tensor)
-        with torch.no_grad():
-            finest[level_layout(0, levels, decoder).resolve] = _UNRESOLVED
-            finest[level_layout(0, levels, decoder).renew] = _UNRENEWED
 
     def forward(self, features_nchw: Tensor) -> tuple[Tensor, ...]:
         """``(n, features, h, w)``, both sizes multiples of 2^(levels - 1), to one map a level."""
@@ -105,3 +97,28 @@ class PyramidNet(nn.Module):
             planes = self.decode[level](joined)
             logits.append(self.heads[level](planes))
         return tuple(reversed(logits))
+
+
+def kernel_pyramid_net(spec: ModelSpec) -> PyramidNet:
+    """A network that gives the logits of `stillray.pyramid`."""
+    network, decoder = spec.network, spec.decoder
+    assert isinstance(network, PyramidNetwork)
+    assert isinstance(decoder, PyramidKernels)
+    levels = len(network.widths)
+    made = PyramidNet(network, [level_logits(level, levels, decoder) for level in range(levels)])
+    # start from an unresolved picture: even shares would blur it and hide what to learn
+    finest = made.heads[0].bias
+    assert isinstance(finest, Tensor)
+    with torch.no_grad():
+        finest[level_layout(0, levels, decoder).resolve] = _UNRESOLVED
+        finest[level_layout(0, levels, decoder).renew] = _UNRENEWED
+    return made
+
+
+def multi_resolution_net(spec: ModelSpec) -> PyramidNet:
+    """A network that gives the logits of `stillray.multires`."""
+    network, decoder = spec.network, spec.decoder
+    assert isinstance(network, PyramidNetwork)
+    assert isinstance(decoder, FusedKernels)
+    levels = len(network.widths)
+    return PyramidNet(network, [level_planes(level, levels, decoder) for level in range(levels)])
