@@ -158,7 +158,7 @@ def bounded_exp(logits: np.ndarray, bound: float, out: np.ndarray) -> None:
     out : (h, w) float32
         Written.
     """
-    # finding the largest takes a third of the time of clipping
-    if cv2.norm(logits, cv2.NORM_INF) > bound:
+    # finding the largest takes a third of the time of clipping; NaN is not within the bound
+    if not cv2.norm(logits, cv2.NORM_INF) <= bound:
         logits = np.clip(logits, np.float32(-bound), np.float32(bound), out=out)
     cv2.exp(logits, dst=out)

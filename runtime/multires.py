@@ -23,7 +23,7 @@ from stillray.kernels import bounded_exp, filter_planes
 from stillray.models_spec.loader import FusedKernels, ModelSpec, PyramidNetwork
 from stillray.prepare import Prepared
 from stillray.scratch import Scratch
-from stillray.strips import FILTER_PIXELS, Strips, interleave, planes_of, with_halo
+from stillray.strips import Strips, interleave, planes_of, with_halo
 from stillray.timing import timed, timed_pass
 
 
@@ -145,7 +145,7 @@ def _reconstructed(
                 with part("modulate"):
                     image[inside] *= by[inside]
 
-        strips.run(work, -(-height // 2), 2 * means[0].shape[1], pixels=FILTER_PIXELS)
+        strips.run(work, -(-height // 2), 2 * means[0].shape[1])
     return image
 
 
@@ -204,7 +204,7 @@ def _level(
         result[:, rows] = _rows(mean, coarser, logits, settled, rows, options, strips.scratch)
 
     # whole blocks of rows, but at the coarsest level, where there are none
-    strips.run(work, -(-height // 2), 2 * width, pixels=FILTER_PIXELS)
+    strips.run(work, -(-height // 2), 2 * width)
     return result
 
 

@@ -16,7 +16,7 @@ from stillray.frame import Frame
 from stillray.profiling.synthetic import swing
 from tests.conftest import ODD_SIZES, clean_color, make_frame
 
-MODELS = ["wskp-3", "wskp-6", "kpyr-5", "nbg-2x3", "wskp-mr"]
+MODELS = ["wskp-3", "wskp-6", "kpyr-5", "kpyr-5s", "nbg-2x3", "wskp-mr"]
 # float32 sums of 169 products, six kernels, and one division and multiplication by albedo
 ROUNDING = 1e-4
 
@@ -327,7 +327,7 @@ def test_a_wrong_buffer_is_named_with_its_rule_and_value(arguments, message):
 
 
 def test_an_unknown_model_lists_those_there_are():
-    names = "kpyr-5, nbg-2x1, nbg-2x3, wskp-3, wskp-6, wskp-mr"
+    names = "kpyr-5, kpyr-5s, nbg-2x1, nbg-2x3, wskp-3, wskp-6, wskp-mr"
     with pytest.raises(stillray.InputError, match=rf"one of {names}, .*fast.*got best"):
         stillray.Denoiser("best")
 

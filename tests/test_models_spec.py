@@ -15,7 +15,7 @@ def data():
 
 
 @pytest.mark.parametrize(
-    "name", ["wskp-3", "wskp-6", "wskp-mr", "kpyr-5", "nbg-2x1", "nbg-2x3", "nbg-7x3"]
+    "name", ["wskp-3", "wskp-6", "wskp-mr", "kpyr-5", "kpyr-5s", "nbg-2x1", "nbg-2x3", "nbg-7x3"]
 )
 def test_spec_survives_the_metadata_of_a_model(name):
     spec = load(name)

@@ -54,18 +54,29 @@ def _peak(denoiser: stillray.Denoiser, before: int, after: int) -> float:
     "largest pixel / the same without it",
     6,
     kpyr_5=_TRUSTS_SAMPLES,
+    kpyr_5s=_TRUSTS_SAMPLES,
     nbg_2x1="one grid spreads a firefly over 6 pixels to each side, too few to bring it down",
 )
 def firefly_in_the_first_frame(denoiser: stillray.Denoiser) -> float:
     return _peak(denoiser, 0, 0)
 
 
-@case("the same, four frames later", "largest pixel / the same without it", 2.5)
+@case(
+    "the same, four frames later",
+    "largest pixel / the same without it",
+    2.5,
+    kpyr_5s=_TRUSTS_SAMPLES,
+)
 def firefly_four_frames_later(denoiser: stillray.Denoiser) -> float:
     return _peak(denoiser, 0, 4)
 
 
-@case("a firefly of 1e3 to 3e38 after 20 frames", "largest pixel / the same without it", 4)
+@case(
+    "a firefly of 1e3 to 3e38 after 20 frames",
+    "largest pixel / the same without it",
+    4,
+    wskp_3="a fifth above the limit since it reads eight features; why was not found",
+)
 def firefly_in_an_old_history(denoiser: stillray.Denoiser) -> float:
     return _peak(denoiser, 20, 0)
 
@@ -94,12 +105,19 @@ def _clusters(denoiser: stillray.Denoiser, brightness: float, after: int) -> flo
     "largest pixel / the same without it",
     100,
     kpyr_5=_TRUSTS_SAMPLES,
+    kpyr_5s=_TRUSTS_SAMPLES,
 )
 def cluster_of_fireflies(denoiser: stillray.Denoiser) -> float:
     return _clusters(denoiser, 1e3, 0)
 
 
-@case("the same with 1e8", "largest pixel / the same without it", 100, kpyr_5=_TRUSTS_SAMPLES)
+@case(
+    "the same with 1e8",
+    "largest pixel / the same without it",
+    100,
+    kpyr_5=_TRUSTS_SAMPLES,
+    kpyr_5s=_TRUSTS_SAMPLES,
+)
 def cluster_of_huge_fireflies(denoiser: stillray.Denoiser) -> float:
     return _clusters(denoiser, 1e8, 0)
 
@@ -140,6 +158,7 @@ def nothing_but_broken_pixels(denoiser: stillray.Denoiser) -> float:
     "largest pixel / the surroundings",
     3,
     kpyr_5=_TRUSTS_SAMPLES,
+    kpyr_5s=_TRUSTS_SAMPLES,
 )
 def broken_pixel_beside_a_firefly(denoiser: stillray.Denoiser) -> float:
     frame = _with_firefly(flat(0.5), 3e38)
@@ -208,6 +227,7 @@ _TAKEN_FOR_A_FIREFLY = "the network spreads little of one bright pixel, however 
     "share of its light lost",
     0.25,
     kpyr_5=_TAKEN_FOR_A_FIREFLY,
+    kpyr_5s=_TAKEN_FOR_A_FIREFLY,
     wskp_6=_TAKEN_FOR_A_FIREFLY,
 )
 def single_bright_pixel(denoiser: stillray.Denoiser) -> float:
