@@ -42,16 +42,14 @@ each sequence, 640x360, 1 sample per pixel; six frames are accumulated where a m
 them, and "one frame" says where not. PSNR, SSIM and FLIP after exposure to a median of 0.2 and a
 power of 1 / 2.2, SMAPE and relative MSE of exposed radiance. No model was trained on these scenes;
 the weights of accumulation and the albedo floor of the specs were chosen on them, and the training
-of kpyr-5 was watched on them, so read these figures as validation, not as a test. SVGF (Schied et
-al. 2017) and BMFR (Koskela et al. 2019) are our own implementations in `training/peers`, with
-published parameters, which remember frames too. OIDN is Open Image Denoise with albedo and normal,
-fed the raw frame, or the frame as accumulated for our kernels. The bilateral grids (nbg) had 1200
-short steps only, wskp-mr 600. Flicker is the mean absolute error of the tone-mapped difference
-between the last two frames. FovVideoVDP (Mantiuk et al. 2021) sees the same two frames,
-at 30 frames a second after a still of the first, on a 24-inch Full HD monitor of 200 cd/m²,
-38 pixels a degree, not foveated.
-References have noise of their own: "fed the references" is about what a perfect picture would
-score.
+of kpyr-5 and kpyr-5s was watched on them, so read these figures as validation, not as a test. SVGF
+(Schied et al. 2017) and BMFR (Koskela et al. 2019) are our own implementations in `training/peers`,
+with published parameters, which remember frames too. OIDN is Open Image Denoise with albedo and
+normal, fed the raw frame, or the frame as accumulated for our kernels. Flicker is the mean absolute
+error of the tone-mapped difference between the last two frames. FovVideoVDP (Mantiuk et al. 2021)
+sees the same two frames, at 30 frames a second after a still of the first, on a 24-inch Full HD
+monitor of 200 cd/m², 38 pixels a degree, not foveated. References have noise of their own: "fed the
+references" is about what a perfect picture would score.
 
 """
 
@@ -194,6 +192,13 @@ def markdown(scores: Scores) -> str:
     return "\n".join(parts)
 
 
+def trained(models: Mapping[str, str]) -> str:
+    """A line that says for how many steps each model was trained."""
+    steps = {label: find_model(model).provenance.get("steps") for label, model in models.items()}
+    shown = ", ".join(f"{label} {count}" for label, count in steps.items() if count)
+    return f"Training steps: {shown}.\n\n"
+
+
 def _table(title: str, rows: dict[str, dict[str, float]]) -> str:
     measured = [metric for metric in METRICS if any(metric.name in row for row in rows.values())]
     lines = [
@@ -273,7 +278,7 @@ def main(
     print(markdown(scores))
     if report:
         with atomic_path(report) as temporary:
-            temporary.write_text(_REPORT_HEAD + markdown(scores))
+            temporary.write_text(_REPORT_HEAD + trained(models) + markdown(scores))
     if out:
         with atomic_path(out) as temporary:
             temporary.write_text(json.dumps(scores, indent=1))
