@@ -15,7 +15,7 @@ from stillray.strips import planes_of
 _REC709 = np.array([[0.2126, 0.7152, 0.0722, 0]], np.float32)
 _ALBEDO = ("albedo.r", "albedo.g", "albedo.b")
 _NORMAL = ("normal.x", "normal.y", "normal.z")
-_PREVIOUS = ("previous.r", "previous.g", "previous.b", "previous.valid")
+_PREVIOUS = ("previous.r", "previous.g", "previous.b")
 _PREVIOUS_LUMINANCE = "previous.luminance"
 _BLOCK = 8  # pixels: blocks whose means give the frame's typical irradiance
 
@@ -206,26 +206,25 @@ def previous_planes(
         Where temporaries lie, if given.
     """
     plane = dict(zip(features, out, strict=True))
-    asked = [name for name in (*_PREVIOUS, _PREVIOUS_LUMINANCE) if name in plane]
+    scratch = scratch or Scratch()
     if previous is None:
-        for name in asked:
-            plane[name].fill(0)
+        for name in (*_PREVIOUS, _PREVIOUS_LUMINANCE):
+            if name in plane:
+                plane[name].fill(0)
         return
-    if _PREVIOUS_LUMINANCE in asked:
-        asked.remove(_PREVIOUS_LUMINANCE)
-        light = luminance(previous, out=(target := plane[_PREVIOUS_LUMINANCE]))
+    if (target := plane.get("previous.valid")) is not None:
+        cv2.extractChannel(previous, 3, dst=target)
+    if (target := plane.get(_PREVIOUS_LUMINANCE)) is not None:
+        light = luminance(previous, out=target)
         if divisor is not None:
-            light = np.divide(light, luminance(divisor), out=target)
+            by = luminance(divisor, out=scratch.array("light", light.shape))
+            light = np.divide(light, by, out=target)
         np.sqrt(tone_map(light, exposure, out=target), out=target)
-    if asked:
-        scratch = scratch or Scratch()
+    if any(name in plane for name in _PREVIOUS):
         planes = planes_of(previous, out=scratch.array("previous", (4, *previous.shape[:2])))
-        for name in asked:
-            channel, target = _PREVIOUS.index(name), plane[name]
-            light = planes[channel]
-            if name == "previous.valid":
-                target[...] = light
-                continue
-            if divisor is not None:
-                light = np.divide(light, divisor[..., channel], out=target)
-            np.sqrt(tone_map(light, exposure, out=target), out=target)
+        for channel, name in enumerate(_PREVIOUS):
+            if (target := plane.get(name)) is not None:
+                light = planes[channel]
+                if divisor is not None:
+                    light = np.divide(light, divisor[..., channel], out=target)
+                np.sqrt(tone_map(light, exposure, out=target), out=target)

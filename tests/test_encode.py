@@ -97,3 +97,19 @@ def test_every_feature_lands_in_the_plane_of_its_name(spec, rng):
         albedo @ rec709,
     ]
     np.testing.assert_allclose(out, expected, rtol=1e-5)
+
+
+def test_previous_planes_are_toned_irradiance_of_the_last_output(rng):
+    names = ("previous.luminance", "previous.r", "previous.g", "previous.b", "previous.valid")
+    previous = rng.lognormal(0, 1, (5, 7, 4)).astype(np.float32)
+    divisor = rng.uniform(0.1, 1, (5, 7, 3)).astype(np.float32)
+    out = np.full((5, 5, 7), np.nan, np.float32)
+    encode.previous_planes(previous, divisor, 0.3, names, out=out)
+    rec709 = np.array([0.2126, 0.7152, 0.0722])
+    colors = np.moveaxis(previous[..., :3].astype(np.float64) / divisor, -1, 0)
+    light = (previous[..., :3] @ rec709) / (divisor @ rec709)
+    for plane, value in zip(out, [light, *colors], strict=False):
+        np.testing.assert_allclose(plane, np.sqrt(0.3 * value / (1 + 0.3 * value)), rtol=1e-5)
+    np.testing.assert_array_equal(out[4], previous[..., 3])
+    encode.previous_planes(None, divisor, 0.3, names, out=out)
+    assert not out.any()
