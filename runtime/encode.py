@@ -16,7 +16,7 @@ _REC709 = np.array([[0.2126, 0.7152, 0.0722, 0]], np.float32)
 _ALBEDO = ("albedo.r", "albedo.g", "albedo.b")
 _NORMAL = ("normal.x", "normal.y", "normal.z")
 _PREVIOUS = ("previous.r", "previous.g", "previous.b")
-_PREVIOUS_LUMINANCE = "previous.luminance"
+_PREVIOUS_LUMINANCE, _PREVIOUS_VALID = "previous.luminance", "previous.valid"
 _BLOCK = 8  # pixels: blocks whose means give the frame's typical irradiance
 
 
@@ -208,11 +208,11 @@ def previous_planes(
     plane = dict(zip(features, out, strict=True))
     scratch = scratch or Scratch()
     if previous is None:
-        for name in (*_PREVIOUS, _PREVIOUS_LUMINANCE):
+        for name in (*_PREVIOUS, _PREVIOUS_LUMINANCE, _PREVIOUS_VALID):
             if name in plane:
                 plane[name].fill(0)
         return
-    if (target := plane.get("previous.valid")) is not None:
+    if (target := plane.get(_PREVIOUS_VALID)) is not None:
         cv2.extractChannel(previous, 3, dst=target)
     if (target := plane.get(_PREVIOUS_LUMINANCE)) is not None:
         light = luminance(previous, out=target)
