@@ -106,6 +106,7 @@ def _clusters(denoiser: stillray.Denoiser, brightness: float, after: int) -> flo
     100,
     kpyr_5=_TRUSTS_SAMPLES,
     kpyr_5s=_TRUSTS_SAMPLES,
+    wskp_mr=_TRUSTS_SAMPLES,
 )
 def cluster_of_fireflies(denoiser: stillray.Denoiser) -> float:
     return _clusters(denoiser, 1e3, 0)
@@ -117,6 +118,7 @@ def cluster_of_fireflies(denoiser: stillray.Denoiser) -> float:
     100,
     kpyr_5=_TRUSTS_SAMPLES,
     kpyr_5s=_TRUSTS_SAMPLES,
+    wskp_mr=_TRUSTS_SAMPLES,
 )
 def cluster_of_huge_fireflies(denoiser: stillray.Denoiser) -> float:
     return _clusters(denoiser, 1e8, 0)
@@ -228,6 +230,7 @@ _TAKEN_FOR_A_FIREFLY = "the network spreads little of one bright pixel, however 
     0.25,
     kpyr_5=_TAKEN_FOR_A_FIREFLY,
     kpyr_5s=_TAKEN_FOR_A_FIREFLY,
+    wskp_mr=_TAKEN_FOR_A_FIREFLY,
     wskp_6=_TAKEN_FOR_A_FIREFLY,
 )
 def single_bright_pixel(denoiser: stillray.Denoiser) -> float:

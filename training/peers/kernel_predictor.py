@@ -6,7 +6,7 @@ import numpy as np
 
 from stillray.denoiser import Denoiser
 from stillray.prepare import Prepared
-from stillray.strips import FILTER_PIXELS, with_halo
+from stillray.strips import with_halo
 from stillray.timing import timed
 from stillray.training.peers.kernel_prediction import filter_rows, options_of
 
@@ -35,7 +35,7 @@ class KernelPredictor(Denoiser):
             image[rows] = filter_rows(mean[near], logits[:, near], own, options)
 
         with timed(self.last_timings, "reconstruct"):
-            self._strips.run(work, height, width, pixels=FILTER_PIXELS)
+            self._strips.run(work, height, width)
         if prepared.divisor is not None:
             with timed(self.last_timings, "modulate"):
                 image *= prepared.divisor
