@@ -7,7 +7,7 @@ import pytest
 import torch
 from skimage.metrics import structural_similarity
 
-from stillray.training.losses import displayed, dissimilarity, unsteadiness
+from stillray.training.losses import displayed, dissimilarity, smape, unsteadiness
 
 
 def _nchw(seed: int) -> torch.Tensor:
@@ -15,9 +15,17 @@ def _nchw(seed: int) -> torch.Tensor:
     return torch.from_numpy(rng.gamma(0.5, 0.3, (1, 3, 19, 23)).astype(np.float32))
 
 
-def test_a_display_clips_at_twice_the_exposed_half_and_opens_the_dark():
-    shown = displayed(torch.tensor([0.0, 0.125, 0.5, 7.0]))
-    np.testing.assert_allclose(shown, [0.0, 0.25 ** (1 / 2.2), 1, 1], atol=0.05)
+def test_smape_is_the_paper_s_equation():
+    image = torch.tensor([1.0, 0.0, 3.0])
+    reference = torch.tensor([3.0, 0.0, 3.0])
+    torch.testing.assert_close(smape(image, reference, 0.01), torch.tensor(2.0 / 4.01 / 3))
+
+
+def test_a_display_clips_and_opens_the_dark():
+    shown = displayed(torch.tensor([0.0, 0.1, 0.5, 9.0]))
+    # white is an exposed half
+    expected = [1e-3 ** (1 / 2.2), (0.2 + 1e-3) ** (1 / 2.2), *[1.001 ** (1 / 2.2)] * 2]
+    np.testing.assert_allclose(shown, expected, rtol=1e-6)
 
 
 def test_dissimilarity_is_one_minus_the_structural_similarity_of_the_mean_channel():

@@ -16,7 +16,7 @@ from stillray.registry import find_model  # noqa: E402
 
 
 def test_a_chain_of_convolutions_is_counted_by_hand():
-    products = 5 * 5 * (12 * 16 + 16 * 16 + 16 * 12)
+    products = 5 * 5 * (8 * 16 + 16 * 16 + 16 * 12)
     assert network_work(find_model("wskp-3").path, 33, 18).operations == 2 * products * 33 * 18
 
 
