@@ -267,9 +267,9 @@ class _Parser:
             kind = self.text()
             (size,) = self.unpack("<i")
             if size < 0 or self.at + size > len(self.data) or self.at + size > MOST_HEADER_BYTES:
-                raise _BrokenError(f"the attribute {name} claims {size} bytes")
+                raise _BrokenError(f"the attribute {name!r} claims {size} bytes")
             if name in attributes:
-                raise _BrokenError(f"the attribute {name} comes twice")
+                raise _BrokenError(f"the attribute {name!r} comes twice")
             attributes[name] = Attribute(name, kind, bytes(self.data[self.at : self.at + size]))
             self.at += size
         return _checked_part(attributes, flags)
@@ -355,7 +355,7 @@ def _channels(attributes: dict[str, Attribute]) -> tuple[Channel, ...]:
     while name := parser.text():
         kind, _, across, down = parser.unpack("<iIii")
         if kind not in _TYPES or across < 1 or down < 1:
-            raise _BrokenError(f"its channel {name} has an unknown type")
+            raise _BrokenError(f"its channel {name!r} has an unknown type")
         channels.append(Channel(name, _TYPES[kind][0], (across, down)))
         if len(channels) > MOST_CHANNELS:
             raise _BrokenError(f"more than {MOST_CHANNELS} channels")
