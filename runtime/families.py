@@ -80,7 +80,7 @@ FAMILIES = {
     ),
     "multi-resolution-kernels": Family(
         multires.reconstruct,
-        multires.multiple,
+        pyramid.multiple,
         multires.reach,
         recalls=False,
         renews=False,

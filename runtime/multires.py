@@ -22,6 +22,7 @@ import numpy as np
 from stillray.kernels import bounded_exp, filter_planes
 from stillray.models_spec.loader import FusedKernels, ModelSpec, PyramidNetwork
 from stillray.prepare import Prepared
+from stillray.pyramid import halve, multiple
 from stillray.scratch import Scratch
 from stillray.strips import Strips, interleave, planes_of, with_halo
 from stillray.timing import timed, timed_pass
@@ -34,12 +35,6 @@ def level_planes(level: int, levels: int, options: FusedKernels) -> int:
     blend with the coarser level.
     """
     return 2 * len(options.kernel_sizes) + (0 if level == levels - 1 else 1)
-
-
-def multiple(spec: ModelSpec) -> int:
-    """Height and width of the network's input must be multiples of this, pixels."""
-    assert isinstance(spec.network, PyramidNetwork)
-    return 1 << (len(spec.network.widths) - 1)
 
 
 def reach(spec: ModelSpec) -> int:
@@ -174,11 +169,11 @@ def _halved(
         source = fine[2 * rows.start : 2 * rows.stop]
         planes = planes_of(source, out=scratch.array("mean", (4, *source.shape[:2])))
         made = scratch.array("made", (4, rows.stop - rows.start, width))
-        held = _halve(planes[3], out=made[3])
+        held = halve(planes[3], out=made[3])
         for plane, half in zip(planes[:3], made, strict=False):
             if options.weigh_samples:
                 plane *= planes[3]
-            _halve(plane, out=half)
+            halve(plane, out=half)
             if options.weigh_samples:
                 half /= held
         interleave(made, out=coarse[rows])
@@ -267,13 +262,7 @@ def _give_way(fine: np.ndarray, coarser: np.ndarray, alpha: np.ndarray) -> None:
 
 def _step(fine: np.ndarray, coarser: np.ndarray) -> np.ndarray:
     """From the mean of each block to the coarser level."""
-    return coarser - _halve(fine)
-
-
-def _halve(plane: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-    """Means of 2x2 blocks."""
-    height, width = plane.shape
-    return cv2.resize(plane, (width // 2, height // 2), dst=out, interpolation=cv2.INTER_AREA)
+    return coarser - halve(fine)
 
 
 def _double(plane: np.ndarray) -> np.ndarray:

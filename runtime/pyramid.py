@@ -285,14 +285,14 @@ def _pool(
         shape = (source.stop - source.start, 2 * width)
         weight, product = scratch.array("weight", shape), scratch.array("product", shape)
         bounded_exp(pool[source], options.logit_bound, weight)
-        total = _halve(weight)
+        total = halve(weight)
         weight *= fine[3, source]
-        held = _halve(weight)
+        held = halve(weight)
         np.divide(held, total, out=coarse[3, rows])
         np.reciprocal(held, out=held)
         for channel in range(3):
             np.multiply(weight, fine[channel, source], out=product)
-            np.multiply(_halve(product), held, out=coarse[channel, rows])
+            np.multiply(halve(product), held, out=coarse[channel, rows])
 
     strips.run(work, height, width)
     return coarse
@@ -432,10 +432,10 @@ def _box(plane: np.ndarray, size: int, out: np.ndarray) -> np.ndarray:
     return cv2.sepFilter2D(plane, cv2.CV_32F, kernel, kernel, dst=out, borderType=border)
 
 
-def _halve(plane: np.ndarray) -> np.ndarray:
+def halve(plane: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
     """Means of 2x2 blocks."""
     height, width = plane.shape
-    return cv2.resize(plane, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    return cv2.resize(plane, (width // 2, height // 2), dst=out, interpolation=cv2.INTER_AREA)
 
 
 def _double(planes: np.ndarray) -> np.ndarray:
