@@ -88,12 +88,25 @@ class ImportanceNetwork:
 
     features: tuple[str, ...]  # input planes by name
     widths: tuple[int, ...]  # output channels of every block but the last
-    kernel_size: int  # pixels, odd
-    branches: tuple[int, ...]  # kernel sizes trained side by side and fused for inference
+    kernel_sizes: tuple[int, ...]  # of each block, pixels, odd
+    # kernel sizes trained side by side and fused for inference; a block has those below its own
+    branches: tuple[int, ...]
     identity: bool  # an identity branch where input and output widths agree (training only)
 
     def __post_init__(self) -> None:
-        _branches(self.kernel_size, self.branches)
+        blocks = len(self.widths) + 1
+        if len(self.kernel_sizes) != blocks:
+            raise SpecError(
+                f"network.kernel_sizes must have {blocks} entries for {len(self.widths)} widths, "
+                f"got {self.kernel_sizes}"
+            )
+        _odd(self.kernel_sizes)
+        _branches(max(self.kernel_sizes), self.branches)
+
+    def block_branches(self, block: int) -> tuple[int, ...]:
+        """Kernel sizes that are trained side by side in a block, its own first."""
+        own = self.kernel_sizes[block]
+        return own, *(size for size in self.branches if size < own)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -325,8 +338,8 @@ def _branches(kernel_size: int, branches: tuple[int, ...]) -> None:
     _odd(branches)
     if max(branches) != kernel_size:
         raise SpecError(
-            f"network.branches must have network.kernel_size ({kernel_size}) as their largest, "
-            f"got {branches}"
+            f"network.branches must have the network's kernel size ({kernel_size}) as their "
+            f"largest, got {branches}"
         )
 
 

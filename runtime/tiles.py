@@ -160,7 +160,7 @@ def receptive_field(spec: ModelSpec) -> int:
     """
     network = spec.network
     if isinstance(network, ImportanceNetwork):
-        return (len(network.widths) + 1) * (network.kernel_size // 2)
+        return sum(size // 2 for size in network.kernel_sizes)
     if not isinstance(network, PyramidNetwork):
         raise InputError(f"max-memory must not be given with the family {spec.family}")
     radius = network.kernel_size // 2

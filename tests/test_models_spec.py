@@ -50,6 +50,7 @@ def test_every_missing_key_is_named(data):
         ("demodulate", "floor", 0.0, "demodulate.floor must be in"),
         ("training", "steps", "many", "training.steps must be of type int"),
         ("network", "branches", [3, 1], "network.branches"),
+        ("network", "kernel_sizes", [5, 5], "network.kernel_sizes must have 3 entries for 2"),
     ],
 )
 def test_a_value_beyond_its_rule_is_named(data, section, key, value, rule):

@@ -62,6 +62,20 @@ def test_fused_networks_differ_in_depth_and_have_one_convolution_a_block():
         assert not isinstance(layers[-1], torch.nn.ReLU)
 
 
+def test_blocks_have_kernel_sizes_of_their_own():
+    spec = load("wskp-3")
+    spec = dataclasses.replace(
+        spec, network=dataclasses.replace(spec.network, kernel_sizes=(5, 3, 1))
+    )
+    network = ImportanceNet(spec)
+    sizes = [[one.kernel_size[0] for one in block.branches()] for block in network.blocks]
+    assert sizes == [[5, 3, 1], [3, 1], [1]]
+    fused = [layer for layer in fuse(network).modules() if isinstance(layer, torch.nn.Conv2d)]
+    assert [layer.kernel_size for layer in fused] == [(5, 5), (3, 3), (1, 1)]
+    alone = [len(block.branches()) for block in ImportanceNet(without_branches(spec)).blocks]
+    assert alone == [1, 1, 1]
+
+
 def test_plain_variant_fuses_to_the_same_shape_with_fewer_weights_in_training():
     spec = load("wskp-6")
     plain = without_branches(spec)

@@ -371,7 +371,7 @@ def main(
 def without_branches(spec: ModelSpec) -> ModelSpec:
     """The same model as plain convolutions: Fan et al. 2021, table 5, "without RepVGG"."""
     network = dataclasses.replace(
-        spec.network, branches=(spec.network.kernel_size,), identity=False
+        spec.network, branches=(max(spec.network.branches),), identity=False
     )
     return dataclasses.replace(spec, network=network)
 

@@ -166,7 +166,11 @@ def _with(
         spec,
         name=name,
         aliases=(),
-        network=dataclasses.replace(spec.network, widths=(_WIDTH,) * (blocks - 1)),
+        network=dataclasses.replace(
+            spec.network,
+            widths=(_WIDTH,) * (blocks - 1),
+            kernel_sizes=spec.network.kernel_sizes[:1] * blocks,
+        ),
         decoder=dataclasses.replace(spec.decoder, kernel_sizes=sizes),
     )
 

@@ -33,7 +33,7 @@ class ImportanceNet(nn.Module):
             RepVGGBlock(
                 widths[index],
                 widths[index + 1],
-                network.branches,
+                network.block_branches(index),
                 identity=network.identity,
                 activation=index != last,
             )
