@@ -34,7 +34,7 @@ def tiny(name, steps=20):
     """A variant of the study with a network and a recipe of next to nothing."""
     variant = STUDY[name]
     recipe = dataclasses.replace(variant.spec.training, steps=steps, batch=1, patch=24)
-    network = dataclasses.replace(variant.spec.network, widths=(4,))
+    network = dataclasses.replace(variant.spec.network, widths=(4,), kernel_sizes=(5, 5))
     decoder = dataclasses.replace(
         variant.spec.decoder, kernel_sizes=variant.spec.decoder.kernel_sizes[:1]
     )
