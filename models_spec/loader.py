@@ -204,6 +204,8 @@ class Training:
     learning_rate: float  # Adam, cosine decay to 1 % of it
     smape_epsilon: float  # Fan et al. 2021, eq. 6, in exposed radiance
     display_weight: float  # weight of the error as displayed beside SMAPE, >= 0
+    # weight of its square there, which is what PSNR counts, >= 0
+    squared_weight: float
     structure_weight: float  # weight of one minus the structural similarity, >= 0
     steady_weight: float  # weight of the change against the previous output, >= 0
     quiet_share: float  # share of patches of little noise and a few fireflies, [0, 1]
@@ -214,7 +216,7 @@ class Training:
     seed: int
 
     def __post_init__(self) -> None:
-        for key in ("display_weight", "structure_weight", "steady_weight"):
+        for key in ("display_weight", "squared_weight", "structure_weight", "steady_weight"):
             _within(f"training.{key}", getattr(self, key), 0, 1e3)
         _within("training.quiet_share", self.quiet_share, 0, 1)
 

@@ -20,6 +20,7 @@ from stillray.training.dataset import (  # noqa: E402
     find_sequences,
     load_examples,
 )
+from stillray.training.losses import displayed, dissimilarity  # noqa: E402
 from tests.conftest import clean_color, make_frame  # noqa: E402
 
 
@@ -123,6 +124,32 @@ def test_training_lowers_the_loss_and_resumes_where_it_stopped(data, small, tmp_
     torch.manual_seed(small.training.seed)
     before = train.reconstruct_loss(train.FAMILIES[small.family].network(small), batch, small)
     assert train.reconstruct_loss(whole, batch, small) < before
+
+
+@pytest.mark.parametrize("key", ["display_weight", "squared_weight", "structure_weight"])
+def test_a_weight_adds_its_part_of_the_loss(data, small, key):
+    network = train.FAMILIES[small.family].network(small)
+    batch = PatchSampler(load_examples(find_sequences(data)[0], small, Strips(1)), small).batch(3)
+
+    def loss(weight):
+        recipe = dataclasses.replace(small.training, **{key: weight})
+        spec = dataclasses.replace(small, training=recipe)
+        return float(train.reconstruct_loss(network, batch, spec))
+
+    exposed = torch.from_numpy(batch.exposure)
+    outputs = network(torch.from_numpy(batch.features))
+    take = {
+        field.name: torch.from_numpy(getattr(batch, field.name))
+        for field in dataclasses.fields(batch)
+    }
+    shown = displayed(train.FAMILIES[small.family].radiance(outputs, take, small) * exposed)
+    wanted = displayed(torch.from_numpy(batch.reference) * exposed)
+    part = {
+        "display_weight": (shown - wanted).abs().mean(),
+        "squared_weight": ((shown - wanted) ** 2).mean(),
+        "structure_weight": dissimilarity(shown, wanted),
+    }[key]
+    assert loss(3.0) - loss(0.0) == pytest.approx(3 * float(part), rel=1e-4)
 
 
 def test_a_recurrent_model_learns_from_its_own_previous_outputs(data, tmp_path):

@@ -63,9 +63,16 @@ def reconstruct_loss(
     reference = take["reference"] * take["exposure"]
     recipe = spec.training
     loss = smape(image, reference, recipe.smape_epsilon)
-    if recipe.display_weight or recipe.structure_weight or recipe.steady_weight:
+    if (
+        recipe.display_weight
+        or recipe.squared_weight
+        or recipe.structure_weight
+        or recipe.steady_weight
+    ):
         shown, wanted = displayed(image), displayed(reference)
-        loss = loss + recipe.display_weight * (shown - wanted).abs().mean()
+        error = shown - wanted
+        loss = loss + recipe.display_weight * error.abs().mean()
+        loss = loss + recipe.squared_weight * error.square().mean()
         if recipe.structure_weight:
             loss = loss + recipe.structure_weight * dissimilarity(shown, wanted)
         if recipe.steady_weight:
