@@ -27,6 +27,9 @@ class Family:
         Height and width of the network's input must be multiples of this, pixels.
     reach
         Pixels from which light can come to a pixel, to each side, in one frame.
+    receptive_field
+        Pixels that one output of the network looks to each side; None where a frame cannot be cut
+        into tiles, because what it is built from spans all of it.
     recalls
         Whether the previous output is used.
     renews
@@ -52,6 +55,7 @@ class Family:
     ]
     multiple: Callable[[ModelSpec], int]
     reach: Callable[[ModelSpec], int]
+    receptive_field: Callable[[ModelSpec], int] | None
     recalls: bool
     renews: bool
     method: Callable[[ModelSpec], str]
@@ -66,6 +70,7 @@ FAMILIES = {
         kernels.reconstruct,
         lambda spec: 1,
         kernels.reach,
+        kernels.receptive_field,
         recalls=False,
         renews=False,
         method=kernels.method,
@@ -74,6 +79,7 @@ FAMILIES = {
         pyramid.reconstruct,
         pyramid.multiple,
         pyramid.reach,
+        pyramid.receptive_field,
         recalls=True,
         renews=True,
         method=pyramid.method,
@@ -82,6 +88,7 @@ FAMILIES = {
         multires.reconstruct,
         pyramid.multiple,
         multires.reach,
+        pyramid.receptive_field,
         recalls=False,
         renews=False,
         method=multires.method,
@@ -91,6 +98,7 @@ FAMILIES = {
         grid.reconstruct,
         lambda spec: 1,
         grid.reach,
+        None,
         recalls=False,
         renews=False,
         method=grid.method,

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from stillray.models_spec.loader import FusedKernels, ModelSpec
+from stillray.models_spec.loader import FusedKernels, ImportanceNetwork, ModelSpec
 from stillray.prepare import Prepared
 from stillray.scratch import Scratch
 from stillray.strips import Strips, interleave, planes_of, with_halo
@@ -52,6 +52,12 @@ def reach(spec: ModelSpec) -> int:
     """Pixels that the largest kernel looks to each side."""
     assert isinstance(spec.decoder, FusedKernels)
     return max(spec.decoder.kernel_sizes) // 2
+
+
+def receptive_field(spec: ModelSpec) -> int:
+    """Pixels that one output of the network looks to each side."""
+    assert isinstance(spec.network, ImportanceNetwork)
+    return sum(size // 2 for size in spec.network.kernel_sizes)
 
 
 def method(spec: ModelSpec) -> str:

@@ -90,6 +90,20 @@ def reach(spec: ModelSpec) -> int:
     return 3 * (coarsest - 1) + max(spec.decoder.kernel_sizes) // 2 * coarsest + 1
 
 
+def receptive_field(spec: ModelSpec) -> int:
+    """Pixels that one output of the network looks to each side."""
+    network = spec.network
+    assert isinstance(network, PyramidNetwork)
+    radius = network.kernel_size // 2
+    coarsest = len(network.widths) - 1
+    # the longest way goes through the coarsest level: every convolution counts in its own pixels
+    entries = radius + sum(radius << (level - 1) for level in range(1, coarsest + 1))
+    down = sum(radius * count << level for level, count in enumerate(network.encoder_blocks))
+    up = sum(radius * count << level for level, count in enumerate(network.decoder_blocks))
+    # doubled pixels lie up to one coarser pixel off
+    return entries + down + up + radius + (1 << coarsest)
+
+
 def method(spec: ModelSpec) -> str:
     """What the reconstruction does, in a few words."""
     assert isinstance(spec.network, PyramidNetwork)

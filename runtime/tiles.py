@@ -16,7 +16,7 @@ import numpy as np
 
 from stillray.errors import InputError
 from stillray.families import FAMILIES
-from stillray.models_spec.loader import ImportanceNetwork, ModelSpec, PyramidNetwork
+from stillray.models_spec.loader import ModelSpec
 from stillray.prepare import Prepared
 
 #: Bytes of a process that has loaded a model and denoised nothing; measured, rounded up.
@@ -143,34 +143,19 @@ def plan_tiles(shape: tuple[int, int], spec: ModelSpec, max_memory: int | None) 
 
 
 def overlap(spec: ModelSpec) -> int:
-    """Pixels that a pixel of the result can see, to each side, rounded up to whole blocks."""
-    family = FAMILIES[spec.family]
-    multiple = family.multiple(spec)
-    sees = family.reach(spec) + receptive_field(spec)
-    return -(-sees // multiple) * multiple
-
-
-def receptive_field(spec: ModelSpec) -> int:
-    """Pixels that one output of the network looks to each side.
+    """Pixels that a pixel of the result can see, to each side, rounded up to whole blocks.
 
     Raises
     ------
     InputError
-        It is not known for this family.
+        The family cannot be cut into tiles.
     """
-    network = spec.network
-    if isinstance(network, ImportanceNetwork):
-        return sum(size // 2 for size in network.kernel_sizes)
-    if not isinstance(network, PyramidNetwork):
+    family = FAMILIES[spec.family]
+    if family.receptive_field is None:
         raise InputError(f"max-memory must not be given with the family {spec.family}")
-    radius = network.kernel_size // 2
-    coarsest = len(network.widths) - 1
-    # the longest way goes through the coarsest level: every convolution counts in its own pixels
-    entries = radius + sum(radius << (level - 1) for level in range(1, coarsest + 1))
-    down = sum(radius * count << level for level, count in enumerate(network.encoder_blocks))
-    up = sum(radius * count << level for level, count in enumerate(network.decoder_blocks))
-    # doubled pixels lie up to one coarser pixel off
-    return entries + down + up + radius + (1 << coarsest)
+    multiple = family.multiple(spec)
+    sees = family.reach(spec) + family.receptive_field(spec)
+    return -(-sees // multiple) * multiple
 
 
 def crop(prepared: Prepared, tile: Tile) -> Prepared:
