@@ -56,7 +56,7 @@ def denoise(
             help="fast, balanced, high, a model name or .onnx file; also -q high, as oidnDenoise "
             "has it.",
         ),
-    ] = "balanced",
+    ] = "high",
     albedo: Annotated[
         str | None, typer.Option("--albedo", "--alb", "-alb", help=_FILE.format("albedo"))
     ] = None,

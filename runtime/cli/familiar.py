@@ -7,7 +7,7 @@ from collections.abc import Sequence
 #: What oidnDenoise calls its qualities, and what they are here.
 QUALITIES = {
     "f": "fast", "fast": "fast", "b": "balanced", "balanced": "balanced",
-    "h": "high", "high": "high", "default": "balanced",
+    "h": "high", "high": "high", "default": "high",
 }  # fmt: skip
 
 

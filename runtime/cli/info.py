@@ -19,7 +19,7 @@ def info(
     file: Annotated[str, typer.Argument(help="An EXR file, or a sequence: its first frame.")],
     model: Annotated[
         str, typer.Option("--model", "-m", help="Quality, model name or .onnx file.")
-    ] = "balanced",
+    ] = "high",
     layer: Annotated[
         list[str] | None,
         typer.Option("--layer", help="ROLE=NAME: take this layer, or channels, for a role."),
