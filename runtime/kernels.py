@@ -113,7 +113,10 @@ def filter_planes(
     options: FusedKernels,
     scratch: Scratch,
 ) -> np.ndarray:
-    """`filter_rows` as planes ``(3, rows, w)``, in the scratch; without a look for NaN logits."""
+    """`filter_rows` as planes ``(3, rows, w)``, in the scratch; without a look for NaN logits.
+
+    The last of an odd number of logits is not looked at.
+    """
     # fewer kernels than maps: the first ones
     count, (height, width) = len(logits) // 2, mean.shape[:2]
     shape = inner.stop - inner.start, width

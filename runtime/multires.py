@@ -14,7 +14,7 @@ no light is invented. Coarser levels hold means weighted by samples.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
@@ -26,6 +26,10 @@ from stillray.pyramid import halve, multiple
 from stillray.scratch import Scratch
 from stillray.strips import Strips, interleave, planes_of, with_halo
 from stillray.timing import timed, timed_pass
+
+#: How a level is filtered, as `stillray.kernels.filter_planes`: mean, logits (its own first, then
+#: perhaps the blend's), rows and options to planes ``(3, rows, w)`` in the scratch.
+LevelFilter = Callable[[np.ndarray, np.ndarray, slice, FusedKernels, Scratch], np.ndarray]
 
 
 def level_planes(level: int, levels: int, options: FusedKernels) -> int:
@@ -60,6 +64,7 @@ def reconstruct(
     spec: ModelSpec,
     strips: Strips,
     timings: dict[str, float],
+    level_filter: LevelFilter = filter_planes,
 ) -> np.ndarray:
     """Filter and re-modulate a frame, see `stillray.families.Family`.
 
@@ -69,11 +74,13 @@ def reconstruct(
         One ``(planes, H, W)`` map a level, finest first, see `level_planes`, of the frame's size
         rounded up to `multiple`; any values. The frame's last row and column are repeated to that
         size. After them, perhaps, what `settle` found.
+    level_filter
+        How a level is filtered, from as far as the largest of the kernel sizes reaches.
     """
-    image = _reconstructed(prepared, outputs, spec, strips, timings)
+    image = _reconstructed(prepared, outputs, spec, strips, timings, level_filter)
     # a NaN logit says nothing: 0
     if np.isnan(image.max()) and any(np.isnan(level.max()) for level in outputs):
-        return _reconstructed(prepared, _numbers(outputs), spec, strips, timings)
+        return _reconstructed(prepared, _numbers(outputs), spec, strips, timings, level_filter)
     return image
 
 
@@ -112,6 +119,7 @@ def _reconstructed(
     spec: ModelSpec,
     strips: Strips,
     timings: dict[str, float],
+    level_filter: LevelFilter,
 ) -> np.ndarray:
     options, network = spec.decoder, spec.network
     assert isinstance(options, FusedKernels)
@@ -125,7 +133,9 @@ def _reconstructed(
     with timed(timings, "reconstruct"):
         means = _resolutions(prepared.history.mean, logits, options, strips)
         for level in reversed(range(1, levels)):
-            coarser = _level(means[level], coarser, logits[level], settled[level], options, strips)
+            coarser = _level(
+                means[level], coarser, logits[level], settled[level], options, strips, level_filter
+            )
     with timed_pass(timings) as part:
 
         def work(blocks: slice) -> None:
@@ -133,8 +143,9 @@ def _reconstructed(
             inside = slice(rows.start, min(rows.stop, height))
             with part("reconstruct"):
                 planes = _rows(
-                    means[0], coarser, logits[0], settled[0], rows, options, strips.scratch
-                )
+                    means[0], coarser, logits[0], settled[0], rows, options, strips.scratch,
+                    level_filter,
+                )  # fmt: skip
                 interleave(planes[:, : inside.stop - inside.start, :width], out=image[inside])
             if by is not None:
                 with part("modulate"):
@@ -189,6 +200,7 @@ def _level(
     settled: np.ndarray | None,
     options: FusedKernels,
     strips: Strips,
+    level_filter: LevelFilter = filter_planes,
 ) -> np.ndarray:
     """`_rows` of a whole level, ``(3, h, w)``."""
     height, width = mean.shape[:2]
@@ -196,7 +208,9 @@ def _level(
 
     def work(blocks: slice) -> None:
         rows = slice(2 * blocks.start, min(2 * blocks.stop, height))
-        result[:, rows] = _rows(mean, coarser, logits, settled, rows, options, strips.scratch)
+        result[:, rows] = _rows(
+            mean, coarser, logits, settled, rows, options, strips.scratch, level_filter
+        )
 
     # whole blocks of rows, but at the coarsest level, where there are none
     strips.run(work, -(-height // 2), 2 * width)
@@ -211,6 +225,7 @@ def _rows(
     rows: slice,
     options: FusedKernels,
     scratch: Scratch,
+    level_filter: LevelFilter,
 ) -> np.ndarray:
     """Rows of a level, filtered and blended with the coarser level.
 
@@ -232,8 +247,7 @@ def _rows(
         In the scratch.
     """
     near, own = with_halo(rows, max(options.kernel_sizes) // 2, len(mean))
-    maps = logits[: len(logits) // 2 * 2, near]  # the last of an odd number is the blend
-    fine = filter_planes(mean[near], maps, own, options, scratch)
+    fine = level_filter(mean[near], logits[:, near], own, options, scratch)
     if coarser is None:
         return fine
     coarse = coarser[:, rows.start // 2 : rows.stop // 2]

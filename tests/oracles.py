@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from stillray.models_spec.loader import BilateralGrids, FusedKernels, PyramidKernels, Temporal
@@ -146,7 +148,10 @@ def kernel_pyramid(
 
 
 def multi_resolution_kernels(
-    mean: np.ndarray, logits: list[np.ndarray], options: FusedKernels
+    mean: np.ndarray,
+    logits: list[np.ndarray],
+    options: FusedKernels,
+    filtered: Callable[..., np.ndarray] = fused_kernels,
 ) -> np.ndarray:
     """Fan et al. 2021, eq. 7, pixel by pixel and limited; arrays as the runtime's."""
     height, width = mean.shape[:2]
@@ -164,18 +169,14 @@ def multi_resolution_kernels(
             coarse[y, x] = np.average([light[p] for p in block], axis=0, weights=weights)
             samples[y, x] = np.mean([held[p] for p in block])
         pyramid.append((coarse, samples))
-    result = np.zeros(0)
-    maps = 2 * len(options.kernel_sizes)
-    for level in reversed(range(len(logits))):
-        fine = fused_kernels(*pyramid[level], logits[level][:maps], options)
-        if level == len(logits) - 1:
-            result = fine
-            continue
+    result = filtered(*pyramid[-1], logits[-1], options)
+    for level in reversed(range(len(logits) - 1)):
+        fine = filtered(*pyramid[level], logits[level][:-1], options)
         blended = np.zeros_like(fine)
         for y, x in np.ndindex(fine.shape[:2]):
             coarser = result[y // 2, x // 2]
             block = fine[y // 2 * 2 : y // 2 * 2 + 2, x // 2 * 2 : x // 2 * 2 + 2]
-            logit = np.clip(logits[level][maps, y, x], -options.logit_bound, options.logit_bound)
+            logit = np.clip(logits[level][-1, y, x], -options.logit_bound, options.logit_bound)
             alpha = 1 / (1 + np.exp(-np.float64(logit)))
             moved = fine[y, x] - alpha * block.mean((0, 1)) + alpha * coarser
             least = np.minimum(block.min((0, 1)), coarser)

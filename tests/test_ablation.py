@@ -13,8 +13,10 @@ pytest.importorskip("matplotlib")
 
 from stillray import kernels  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
+from stillray.families import FAMILIES  # noqa: E402
 from stillray.frame import Frame  # noqa: E402
-from stillray.models_spec.loader import FusedKernels, ImportanceNetwork  # noqa: E402
+from stillray.models_spec import load  # noqa: E402
+from stillray.models_spec.loader import FusedKernels, ImportanceNetwork, PyramidNetwork  # noqa: E402
 from stillray.prepare import prepare  # noqa: E402
 from stillray.strips import Strips  # noqa: E402
 from stillray.training.ablation import __main__ as command  # noqa: E402
@@ -34,7 +36,10 @@ def tiny(name, steps=20):
     """A variant of the study with a network and a recipe of next to nothing."""
     variant = STUDY[name]
     recipe = dataclasses.replace(variant.spec.training, steps=steps, batch=1, patch=24)
-    network = dataclasses.replace(variant.spec.network, widths=(4,), kernel_sizes=(5, 5))
+    if isinstance(variant.spec.network, PyramidNetwork):
+        network = dataclasses.replace(variant.spec.network, widths=(4, 4, 4))
+    else:
+        network = dataclasses.replace(variant.spec.network, widths=(4,), kernel_sizes=(5, 5))
     decoder = dataclasses.replace(
         variant.spec.decoder, kernel_sizes=variant.spec.decoder.kernel_sizes[:1]
     )
@@ -53,6 +58,7 @@ def test_variants_differ_in_what_is_compared_and_in_nothing_else():
         assert spec.network.features == base.network.features
         seed = base.training.seed + (name == variants.OTHER_SEED)
         assert spec.training == dataclasses.replace(base.training, seed=seed), name
+        assert spec.training.patch % FAMILIES[spec.family].multiple(spec) == 0, name
 
 
 @pytest.mark.parametrize(
@@ -72,6 +78,18 @@ def test_variants_are_those_of_the_paper(name, blocks, sizes):
     network = STUDY[name].family.network(spec)
     outputs = network(torch.zeros(1, len(spec.network.features), 3, 4)).shape[1]
     assert outputs == (sizes[0] ** 2 if name.startswith("KP") else 2 * len(sizes))
+
+
+@pytest.mark.parametrize(
+    ("name", "sizes", "planes"), [("wskp-mr", (3, 5), [5, 5, 4]), ("MR-KP", (5,), [26, 26, 25])]
+)
+def test_multi_resolution_variants_differ_in_their_kernels_alone(name, sizes, planes):
+    variant, ours = STUDY[name], load("wskp-mr")
+    assert variant.spec.network == ours.network
+    assert variant.spec.decoder == dataclasses.replace(ours.decoder, kernel_sizes=sizes)
+    network = variant.family.network(variant.spec)
+    logits = network(torch.zeros(1, len(ours.network.features), 8, 12))
+    assert [level.shape[1] for level in logits] == planes
 
 
 def test_what_tables_and_claims_name_is_in_the_study():
@@ -133,7 +151,7 @@ def test_predicted_kernels_without_preference_are_a_box_over_accumulated_light(t
 
 
 def test_one_command_trains_scores_times_and_reports(tmp_path, monkeypatch):
-    small = [tiny("wskp-6"), tiny("KP")]
+    small = [tiny("wskp-6"), tiny("KP"), tiny("MR-KP")]
     monkeypatch.setattr(command, "study", lambda: small)
     out, report = tmp_path / "out", tmp_path / "page.md"
     steps = {"out": out, "data": [DATA], "validation": DATA, "height": 20, "width": 30}
@@ -141,11 +159,13 @@ def test_one_command_trains_scores_times_and_reports(tmp_path, monkeypatch):
     page = report.read_text()
     assert "| wskp-6 | " in page
     assert "| KP | " in page
+    assert "| MR-KP | " in page
     assert "Accumulation on and off" in page
-    assert len(list((tmp_path / "pictures").glob("room-*.png"))) == 4
+    assert len(list((tmp_path / "pictures").glob("room-*.png"))) == 5
     found = results.read_results(small, out)
     assert found.size == (20, 30)
-    assert set(found.mean("KP")) <= set(measure.METRICS)
+    assert set(found.mean("MR-KP")) == set(found.mean("KP")) <= set(measure.METRICS)
+    assert set(found.milliseconds["MR-KP"]) == {"network", "reconstruct", "both"}
     assert found.ratios["wskp-6"] == {"network": 1, "reconstruct": 1, "both": 1}
     # what is done is not done again
     files = [folder_of(one, out) / name for one in small for name in (CHECKPOINT, measure.SCORES)]
@@ -159,7 +179,7 @@ def test_one_command_trains_scores_times_and_reports(tmp_path, monkeypatch):
     (folder_of(small[0], out) / CHECKPOINT).unlink()
     command.main(**steps)
     after = [path.stat().st_mtime_ns for path in files]
-    changed = [True, True, False, False]
+    changed = [True, True, False, False, False, False]
     assert [old != new for old, new in zip(before, after, strict=True)] == changed
 
 

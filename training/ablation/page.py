@@ -41,16 +41,16 @@ same order, seed {seed}, by SMAPE alone as in the paper; the recipe of {base} se
 times as many pixels. So these figures compare variants with one another, not with the models that
 stillray comes with, and tell more of what is learned early than of what can be learned. All read
 the same {features} features of frames accumulated alike, and run as users run a model: exported,
-through ONNX Runtime and the runtime's stages; directly predicted kernels (KP) differ in the
+through ONNX Runtime and the runtime's stages; directly predicted kernels (KP, MR-KP) differ in the
 reconstruction alone. PSNR, SSIM, SMAPE and FLIP are of the last frame, mean of {scenes} validation
 sequences ({names}), with exposure as in [results.md](results.md).
 
 Milliseconds are of a {width}x{height} frame on {machine}: medians of {rounds} rounds in which the
 variants take turns in one process; "/ {base}" is the median of the rounds' ratios of both together.
 About {load:.0f} programs wanted the processor meanwhile{busy}.
-The training loss is the mean of the last 200 steps, on the same patches for all. KP's
-reconstruction is ours, a pass over the frame for each of its weights; it is tested against the
-same loop as what it was trained with.
+The training loss is the mean of the last 200 steps, on the same patches for all. The
+reconstruction of KP and MR-KP is ours, a pass over the frame for each of a kernel's weights; it is
+tested against the same loop as what it was trained with.
 """
 
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 from stillray.profiling.plot import new_figure, save
 from stillray.training.ablation.results import Results
-from stillray.training.ablation.variants import BASE, KERNEL_COUNTS, SIZES, fused, single
+from stillray.training.ablation.variants import COMPARISONS, KERNEL_COUNTS, SIZES, fused, single
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_PEERS = (BASE, "wskp-3", "KP", "KP-1", "KP-2")
+_PEERS = COMPARISONS[0].variants
 
 
 def draw_kernels(results: Results, path: Path) -> None:
@@ -37,9 +37,8 @@ def draw_kernels(results: Results, path: Path) -> None:
     for name in _PEERS:
         if name in results.scores and name in results.milliseconds:
             at = (results.milliseconds[name]["both"], results.mean(name)["psnr"])
-            peers.plot(
-                *at, "s" if name.startswith("KP") else "o", color="C3" if "KP" in name else "C0"
-            )
+            marker, color = ("s", "C3") if "KP" in name else ("o", "C0")
+            peers.plot(*at, marker, color=color)
             peers.annotate(name, at, xytext=(6, 4), textcoords="offset points")
     peers.set_xlim(left=0)
     peers.margins(x=0.15, y=0.15)

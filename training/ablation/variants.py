@@ -1,7 +1,7 @@
 """The study as data: variants of one model, trained alike, and the comparisons they are made for.
 
-All start from the specification of `BASE` and differ from it in what their names say: features,
-accumulation, demodulation, loss, patches and steps are the same.
+All start from the specification of `BASE`, or of `MULTI_RESOLUTION`, and differ from it in what
+their names say: features, accumulation, demodulation, loss, patches and steps are the same.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ from dataclasses import dataclass
 from stillray.models_spec import ModelSpec, load
 from stillray.models_spec.loader import FusedKernels, ImportanceNetwork
 from stillray.training.families import FAMILIES, Family
-from stillray.training.peers.kernel_prediction import FAMILY as PREDICTION
+from stillray.training.peers import kernel_prediction, multi_resolution_prediction
 from stillray.training.train import without_branches
 
 BASE = "wskp-6"
+MULTI_RESOLUTION = "wskp-mr"
 OTHER_SEED = "wskp-6, other seed"
 #: Scored on a single frame, too: accumulation off.
 ONE_FRAME = (BASE, "wskp-3", "KP")
@@ -24,6 +25,11 @@ _WIDTH = 16  # channels between blocks
 KERNEL_COUNTS = tuple(range(1, len(SIZES) + 1))
 # Short, so that the whole study fits into an hour of one core; the rest is the base's recipe.
 _STEPS, _BATCH, _PATCH = 600, 4, 64
+#: By the family of the model that a peer stands beside.
+_PREDICTIONS = {
+    "weight-sharing-kernels": kernel_prediction.FAMILY,
+    "multi-resolution-kernels": multi_resolution_prediction.FAMILY,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +41,8 @@ class Variant:
     spec
         What it is; its name is the variant's.
     predicts
-        Whether every pixel's kernel is predicted, not made from an importance map: then the spec
-        has one kernel size.
+        Whether every pixel's kernel is predicted, not made from an importance map: then the spec,
+        that of the model which the peer stands beside, has one kernel size.
     """
 
     spec: ModelSpec
@@ -50,7 +56,7 @@ class Variant:
     @property
     def family(self) -> Family:
         """Network and reconstruction for training."""
-        return PREDICTION if self.predicts else FAMILIES[self.spec.family]
+        return (_PREDICTIONS if self.predicts else FAMILIES)[self.spec.family]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +94,7 @@ def study() -> list[Variant]:
     """The variants, in the order in which they are trained: what is most asked about first."""
     base = _base()
     plain = without_branches(base)
+    resolutions = _multi_resolution(base)
     return [
         Variant(spec=base),
         _predicted("KP", base, 13, blocks=6),
@@ -112,16 +119,20 @@ def study() -> list[Variant]:
                 (single(11), (11,)),
             )
         ),
+        Variant(spec=resolutions),
+        Variant(spec=_with_kernel(resolutions, "MR-KP", 5), predicts=True),
     ]
 
 
 COMPARISONS = (
     Comparison(
         title="Kernels that neighbours share, against kernels predicted directly",
-        source="Fan et al. 2021, tables 1 to 3 and 6; wskp-6 is the paper's six-layer model, "
-        "wskp-3 its three-layer model, with 6 fused kernels each; KP predicts 13x13 kernels with "
-        "six blocks, KP-1 with two, KP-2 7x7 kernels with five",
-        variants=(BASE, "wskp-3", "KP", "KP-1", "KP-2"),
+        source="Fan et al. 2021, tables 1 to 4 and 6, and table 7 of the supplement; wskp-6 is the "
+        "paper's six-layer model, wskp-3 its three-layer model, with 6 fused kernels each; KP "
+        "predicts 13x13 kernels with six blocks, KP-1 with two, KP-2 7x7 kernels with five; "
+        "wskp-mr is its multi-resolution model, a U-Net with fused kernels of 3x3 and 5x5 at each "
+        "of three resolutions, where MR-KP predicts 5x5 kernels with the same U-Net",
+        variants=(BASE, "wskp-3", "KP", "KP-1", "KP-2", MULTI_RESOLUTION, "MR-KP"),
     ),
     Comparison(
         title="One kernel",
@@ -177,6 +188,27 @@ def _with(
 
 def _predicted(name: str, spec: ModelSpec, size: int, *, blocks: int) -> Variant:
     return Variant(spec=_with(spec, name, blocks=blocks, sizes=(size,)), predicts=True)
+
+
+def _multi_resolution(base: ModelSpec) -> ModelSpec:
+    """The multi-resolution model, trained as the base is."""
+    spec = load(MULTI_RESOLUTION)
+    return dataclasses.replace(
+        spec,
+        aliases=(),
+        inputs=base.inputs,
+        demodulate=base.demodulate,
+        transfer=base.transfer,
+        temporal=base.temporal,
+        network=dataclasses.replace(spec.network, features=base.network.features),
+        training=base.training,
+    )
+
+
+def _with_kernel(spec: ModelSpec, name: str, size: int) -> ModelSpec:
+    assert isinstance(spec.decoder, FusedKernels)
+    decoder = dataclasses.replace(spec.decoder, kernel_sizes=(size,))
+    return dataclasses.replace(spec, name=name, decoder=decoder)
 
 
 def _reseeded(spec: ModelSpec) -> ModelSpec:

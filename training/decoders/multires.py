@@ -12,6 +12,9 @@ from stillray.models_spec.loader import FusedKernels
 from stillray.training.decoders.boxes import BoxMean
 from stillray.training.decoders.fused_kernels import fused_kernels
 
+#: From irradiance, samples and logits of a level, ``(n, c, h, w)`` each, to filtered irradiance.
+LevelFilter = Callable[[Tensor, Tensor, Tensor], Tensor]
+
 
 def multi_resolution_kernels(
     irradiance_nchw: Tensor,
@@ -40,6 +43,38 @@ def multi_resolution_kernels(
     -------
     (n, 3, h, w)
     """
+
+    def level_filter(light: Tensor, held: Tensor, maps: Tensor) -> Tensor:
+        return fused_kernels(light, held, maps, options, box)
+
+    return filtered_resolutions(irradiance_nchw, samples_nchw, logits, options, level_filter)
+
+
+def filtered_resolutions(
+    irradiance_nchw: Tensor,
+    samples_nchw: Tensor,
+    logits: Sequence[Tensor],
+    options: FusedKernels,
+    level_filter: LevelFilter,
+) -> Tensor:
+    """`multi_resolution_kernels` with any filter of a level.
+
+    Parameters
+    ----------
+    irradiance_nchw, samples_nchw
+        As there.
+    logits
+        One map a level, finest first: what the filter takes, then, but at the coarsest, the blend
+        with the coarser level.
+    options
+        The bound of the blend's logits, and whether means are weighted by samples.
+    level_filter
+        Filters one level.
+
+    Returns
+    -------
+    (n, 3, h, w)
+    """
     light, held = [irradiance_nchw], [samples_nchw]
     for _ in logits[1:]:
         weight = held[-1] if options.weigh_samples else torch.ones_like(held[-1])
@@ -47,11 +82,10 @@ def multi_resolution_kernels(
         weighted, total, samples = sums.split((3, 1, 1), 1)
         light.append(weighted / total)
         held.append(samples)
-    maps = 2 * len(options.kernel_sizes)
-    result = fused_kernels(light[-1], held[-1], logits[-1], options, box)
+    result = level_filter(light[-1], held[-1], logits[-1])
     for level in reversed(range(len(logits) - 1)):
-        filters, alpha = logits[level].split((maps, 1), 1)
-        fine = fused_kernels(light[level], held[level], filters, options, box)
+        filters, alpha = logits[level].split((logits[level].shape[1] - 1, 1), 1)
+        fine = level_filter(light[level], held[level], filters)
         bounded = alpha.clamp(-options.logit_bound, options.logit_bound)
         result = blended(fine, result, bounded.sigmoid())
     return result

@@ -10,7 +10,8 @@ this way instead. It is not among the families that specifications name: no user
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,23 +21,33 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from stillray.kernels import bounded_exp
 from stillray.models_spec import ModelSpec
 from stillray.models_spec.loader import FusedKernels, ImportanceNetwork
-from stillray.strips import planes_of
+from stillray.prepare import Prepared
+from stillray.scratch import Scratch
+from stillray.strips import Strips, interleave, planes_of, with_halo
+from stillray.timing import timed
 from stillray.training.families import BoxFilter, Family
 from stillray.training.networks.repvgg import RepVGGBlock
 
 
 @dataclass(frozen=True, kw_only=True)
-class KernelPrediction:
-    """The network and its reconstruction; defaults are the paper's six-layer variant."""
+class PredictedKernels:
+    """The reconstruction; defaults are the paper's six-layer variant."""
 
     kernel_size: int = 13  # pixels, odd: filter kernels
+    logit_bound: float = 12.0  # logits are clipped to +- this, (0, 40]
+    weigh_samples: bool = True  # multiply weights by the samples that a pixel holds
+
+
+@dataclass(frozen=True, kw_only=True)
+class KernelPrediction(PredictedKernels):
+    """The network and its reconstruction; defaults are the paper's six-layer variant."""
+
     widths: tuple[int, ...] = (16,) * 5  # output channels of every block but the last
     branches: tuple[int, ...] = (5, 3, 1)  # pixels, odd: convolutions trained side by side
     identity: bool = True  # an identity branch where input and output widths agree
-    logit_bound: float = 12.0  # logits are clipped to +- this, (0, 40]
-    weigh_samples: bool = True  # multiply weights by the samples that a pixel holds
 
 
 class KernelPredictionNet(nn.Module):
@@ -74,7 +85,7 @@ class KernelPredictionNet(nn.Module):
 
 
 def predicted_kernels(
-    irradiance_nchw: Tensor, samples_nchw: Tensor, logits_nchw: Tensor, options: KernelPrediction
+    irradiance_nchw: Tensor, samples_nchw: Tensor, logits_nchw: Tensor, options: PredictedKernels
 ) -> Tensor:
     """Filter every pixel with its own kernel: softmax of its logits (Bako et al. 2017).
 
@@ -137,7 +148,11 @@ def _windows(size: int, height: int, width: int) -> Iterator[tuple[int, slice, s
 
 
 def filter_rows(
-    mean: np.ndarray, logits: np.ndarray, inner: slice, options: KernelPrediction
+    mean: np.ndarray,
+    logits: np.ndarray,
+    inner: slice,
+    options: PredictedKernels,
+    scratch: Scratch | None = None,
 ) -> np.ndarray:
     """The twin of `predicted_kernels` without PyTorch, for timing beside `stillray.kernels`.
 
@@ -150,37 +165,83 @@ def filter_rows(
         Any values; NaN says nothing.
     inner
         The rows of the result.
+    scratch
+        Where temporaries lie, if given.
 
     Returns
     -------
     (rows, w, 3) float32
         In the range of each window's irradiance.
     """
+    scratch = scratch or Scratch()
+    planes = filter_planes(mean, logits, inner, options, scratch)
+    if np.isnan(planes.max()):
+        planes = filter_planes(mean, np.nan_to_num(logits, nan=0.0), inner, options, scratch)
+    return interleave(planes, out=np.empty((*planes.shape[1:], 3), np.float32))
+
+
+def filter_planes(
+    mean: np.ndarray,
+    logits: np.ndarray,
+    inner: slice,
+    options: PredictedKernels,
+    scratch: Scratch,
+) -> np.ndarray:
+    """`filter_rows` as planes ``(3, rows, w)``, in the scratch; without a look for NaN logits.
+
+    Logits beyond those of the kernel are not looked at.
+    """
     size, half = options.kernel_size, options.kernel_size // 2
-    planes = planes_of(cv2.copyMakeBorder(mean, half, half, half, half, cv2.BORDER_CONSTANT))
+    padded = cv2.copyMakeBorder(mean, half, half, half, half, cv2.BORDER_CONSTANT)
+    planes = planes_of(padded, out=scratch.array("mean", (4, *padded.shape[:2])))
     *colors, samples = planes
     if not options.weigh_samples:
         samples = (samples > 0).astype(np.float32)
-    rows, width = inner.stop - inner.start, mean.shape[1]
-    total = np.zeros((3, rows, width), np.float32)
-    weight_sum = np.zeros((rows, width), np.float32)
-    bound = np.float32(options.logit_bound)
+    shape = inner.stop - inner.start, mean.shape[1]
+    total, weight_sum = scratch.array("total", (3, *shape)), scratch.array("weight_sum", shape)
+    weight = scratch.array("weight", shape)
+    total.fill(0)
+    weight_sum.fill(0)
     # the mean of a window instead of its sum: large radiance stays finite
     share = np.float32(1 / size**2)
     for index in range(size**2):
         dy, dx = divmod(index, size)
-        tap = (slice(inner.start + dy, inner.stop + dy), slice(dx, dx + width))
-        weight = np.clip(logits[index, inner], -bound, bound)
-        cv2.exp(weight, dst=weight)
+        tap = (slice(inner.start + dy, inner.stop + dy), slice(dx, dx + shape[1]))
+        bounded_exp(logits[index, inner], options.logit_bound, weight)
         weight *= samples[tap]
         weight *= share
         weight_sum += weight
         for plane, sums in zip(colors, total, strict=True):
             cv2.accumulateProduct(weight, plane[tap], sums)
-    if np.isnan(weight_sum.sum()):
-        return filter_rows(mean, np.nan_to_num(logits, nan=0.0), inner, options)
     total /= weight_sum
-    return cv2.merge(list(total))
+    return total
+
+
+def reconstruct(
+    prepared: Prepared,
+    previous: np.ndarray | None,
+    outputs: Sequence[np.ndarray],
+    spec: ModelSpec,
+    strips: Strips,
+    timings: dict[str, float],
+) -> np.ndarray:
+    """Filter and re-modulate a frame, see `stillray.families.Family`."""
+    options = options_of(spec)
+    (logits,) = outputs
+    mean = prepared.history.mean
+    height, width = mean.shape[:2]
+    image = np.empty((height, width, 3), np.float32)
+
+    def work(rows: slice) -> None:
+        near, own = with_halo(rows, options.kernel_size // 2, height)
+        image[rows] = filter_rows(mean[near], logits[:, near], own, options, strips.scratch)
+
+    with timed(timings, "reconstruct"):
+        strips.run(work, height, width)
+    if prepared.divisor is not None:
+        with timed(timings, "modulate"):
+            image *= prepared.divisor
+    return image
 
 
 def options_of(spec: ModelSpec) -> KernelPrediction:
@@ -188,12 +249,19 @@ def options_of(spec: ModelSpec) -> KernelPrediction:
     network, decoder = spec.network, spec.decoder
     assert isinstance(network, ImportanceNetwork)
     assert isinstance(decoder, FusedKernels)
-    (kernel_size,) = decoder.kernel_sizes
     return KernelPrediction(
-        kernel_size=kernel_size,
+        **dataclasses.asdict(kernels_of(decoder)),
         widths=network.widths,
         branches=network.branches,
         identity=network.identity,
+    )
+
+
+def kernels_of(decoder: FusedKernels) -> PredictedKernels:
+    """Kernels predicted in the place of shared-weight ones of one size."""
+    (kernel_size,) = decoder.kernel_sizes
+    return PredictedKernels(
+        kernel_size=kernel_size,
         logit_bound=decoder.logit_bound,
         weigh_samples=decoder.weigh_samples,
     )

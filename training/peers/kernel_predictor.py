@@ -6,9 +6,14 @@ import numpy as np
 
 from stillray.denoiser import Denoiser
 from stillray.prepare import Prepared
-from stillray.strips import with_halo
 from stillray.timing import timed
-from stillray.training.peers.kernel_prediction import filter_rows, options_of
+from stillray.training.peers import kernel_prediction, multi_resolution_prediction
+
+#: By the family of the model that the peer stands beside.
+_RECONSTRUCTIONS = {
+    "weight-sharing-kernels": kernel_prediction.reconstruct,
+    "multi-resolution-kernels": multi_resolution_prediction.reconstruct,
+}
 
 
 class KernelPredictor(Denoiser):
@@ -22,21 +27,11 @@ class KernelPredictor(Denoiser):
     def _filter(
         self, prepared: Prepared, previous: np.ndarray | None
     ) -> tuple[np.ndarray, list[np.ndarray]]:
-        options = options_of(self.model.spec)
-        features = self._encode(self.model.spec, prepared, previous)
+        spec = self.model.spec
+        features = self._encode(spec, prepared, previous)
         with timed(self.last_timings, "network"):
-            (logits,) = self._network.run(features)
-        mean = prepared.history.mean
-        height, width = mean.shape[:2]
-        image = np.empty((height, width, 3), np.float32)
-
-        def work(rows: slice) -> None:
-            near, own = with_halo(rows, options.kernel_size // 2, height)
-            image[rows] = filter_rows(mean[near], logits[:, near], own, options)
-
-        with timed(self.last_timings, "reconstruct"):
-            self._strips.run(work, height, width)
-        if prepared.divisor is not None:
-            with timed(self.last_timings, "modulate"):
-                image *= prepared.divisor
-        return image, [logits]
+            outputs = self._network.run(features)
+        image = _RECONSTRUCTIONS[spec.family](
+            prepared, previous, outputs, spec, self._strips, self.last_timings
+        )
+        return image, outputs
