@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
 from stillray import accumulate as acc
-from stillray import encode
+from stillray import encode, mirror
 from stillray import reproject as rep
 from stillray.demodulate import divisor
 from stillray.frame import Frame
@@ -83,7 +83,7 @@ class Prepared:
     depth_unit
         Scale of the depth feature.
     motion : (h, w, 2) float32 or None
-        The frame's, finite.
+        The frame's, finite; in mirrors that of what they show, see `stillray.mirror`.
     """
 
     history: History
@@ -155,6 +155,9 @@ def prepare(
         _local_luminance(luminance, exposure, local, spec, strips)
         depth_unit = 1.0 if buffers.depth is None else encode.depth_scale(buffers.depth)
 
+    if history is not None:
+        black = spec.demodulate.black
+        buffers = _follow_reflections(buffers, luminance, history, exposure, black, timings)
     guides: np.ndarray | None = None
     if temporal and not (buffers.normal is None and buffers.depth is None):
         guides = np.empty((*shape, 4), np.float32) if spare is None else spare.guides
@@ -272,6 +275,31 @@ def _demodulate(
             return True
 
         return all(strips.run(work, *luminance.shape))
+
+
+def _follow_reflections(
+    buffers: Buffers,
+    luminance: np.ndarray,
+    history: History,
+    exposure: float,
+    black: float,
+    timings: dict[str, float],
+) -> Buffers:
+    if buffers.motion is None or buffers.albedo is None or buffers.depth is None:
+        return buffers
+    if not mirror.has_mirrors(buffers.albedo, black):
+        return buffers
+    with timed(timings, "mirror"):
+        motion = mirror.follow_reflections(
+            buffers.motion,
+            buffers.depth,
+            buffers.albedo,
+            luminance,
+            history.mean,
+            exposure=exposure,
+            black=black,
+        )
+    return replace(buffers, motion=motion)
 
 
 def _local_luminance(

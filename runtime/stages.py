@@ -8,6 +8,7 @@ import numpy as np
 
 from stillray.families import FAMILIES
 from stillray.frame import Frame
+from stillray.mirror import has_mirrors
 from stillray.models_spec.loader import ModelSpec
 
 
@@ -51,6 +52,11 @@ def plan(frame: Frame, spec: ModelSpec, *, has_history: bool, temporal: bool) ->
         why_guides = "normal or depth tell surfaces apart"
     else:
         why_guides = "no normal or depth given" if temporal else why
+    follows = past and frame.depth is not None and frame.albedo is not None
+    why_mirror = "only motion, depth, albedo and a past tell what a mirror shows"
+    if follows and frame.albedo is not None:
+        follows = has_mirrors(frame.albedo, spec.demodulate.black)
+        why_mirror = f"{'some' if follows else 'no'} surfaces are black, as mirrors and glass are"
     why_modulate = "albedo is given" if albedo else "no albedo given"
     if albedo and family.recalls:
         why_modulate = "the reconstruction does it, before it resolves"
@@ -62,6 +68,7 @@ def plan(frame: Frame, spec: ModelSpec, *, has_history: bool, temporal: bool) ->
         ),
         Stage("demodulate", albedo, "albedo is given" if albedo else "no albedo given"),
         Stage("expose", True, "features are relative to the frame's brightness"),
+        Stage("mirror", follows, why_mirror),
         Stage("guides", geometry, why_guides),
         Stage(
             "warp",

@@ -83,6 +83,8 @@ def _each_pixel(spec: ModelSpec, frame: Frame) -> dict[str, tuple[float, float]]
         # limit, divide and luminance; color and albedo are in the cache, which repair has read
         "demodulate": (2 * albedo + 3 + 5, albedo + 1),
         "expose": (local + 2, 2),
+        # two images toned and halved; at half resolution, a depth: positions, a tap, a window sum
+        "mirror": (2 * (5 + 4 + 1) + 4 / 4 * (4 + 9 + 2 + _WINDOW_SUM), 4 + 1 + albedo + 1 + 2 + 2),
         "guides": (7, guides + 4),
         # four taps of history and guides, and the test of each
         "warp": (4 * (2 * 8 + 9) + 12, 2 + 4 + 4 + 4),
