@@ -105,6 +105,14 @@ def test_a_peer_that_remembers_sees_the_frames_before(folder):
     assert run(folder)["SVGF"]["two"]["psnr"] == pytest.approx(expected, abs=1e-4)
 
 
+def test_svgf_alone_differs_from_the_second_frame_on_when_its_last_pass_has_a_past(folder):
+    frames = [read_exr(folder / "two" / f"frame_{i:04d}.exr") for i in range(2)]
+    whole, alone = find_peer("svgf").make(), find_peer("svgf-alone").make()
+    first, second = ([stream.denoise(frame) for stream in (whole, alone)] for frame in frames)
+    np.testing.assert_allclose(first[0], first[1], rtol=1e-3, atol=1e-5)
+    assert np.abs(second[0] - second[1]).max() > 1e-2 * second[0].max()
+
+
 def test_two_runs_give_the_same_scores(folder):
     assert run(folder) == run(folder)
 
@@ -125,7 +133,8 @@ def test_no_peers_when_none_are_wanted(folder):
 
 
 def test_installed_peers_run_when_none_is_named(monkeypatch):
-    svgf, absent = PEERS[0], dataclasses.replace(PEERS[1], module="no_such_module")
+    svgf, bmfr = (peer for peer in PEERS if peer.name in ("svgf", "bmfr"))
+    absent = dataclasses.replace(bmfr, module="no_such_module")
     monkeypatch.setattr(evaluate, "PEERS", (svgf, absent))
     assert evaluate.choose_peers(None) == ["svgf"]
     assert "bmfr" in evaluate.left_out(None)

@@ -44,12 +44,13 @@ power of 1 / 2.2, SMAPE and relative MSE of exposed radiance. No model was train
 the weights of accumulation and the albedo floor of the specs were chosen on them, and the training
 of kpyr-5 and kpyr-5s was watched on them, so read these figures as validation, not as a test. SVGF
 (Schied et al. 2017) and BMFR (Koskela et al. 2019) are our own implementations in `training/peers`,
-with published parameters, which remember frames too. OIDN is Open Image Denoise with albedo and
-normal, fed the raw frame, or the frame as accumulated for our kernels. Flicker is the mean absolute
-error of the tone-mapped difference between the last two frames. FovVideoVDP (Mantiuk et al. 2021)
-sees the same two frames, at 30 frames a second after a still of the first, on a 24-inch Full HD
-monitor of 200 cd/m², 38 pixels a degree, not foveated. References have noise of their own: "fed the
-references" is about what a perfect picture would score.
+with published parameters, which remember frames too; both end with temporal antialiasing (TAA),
+which the models of ours but kpyr lack, so SVGF is there without it as well. OIDN is Open Image
+Denoise with albedo and normal, fed the raw frame, or the frame as accumulated for our kernels.
+Flicker is the mean absolute error of the tone-mapped difference between the last two frames.
+FovVideoVDP (Mantiuk et al. 2021) sees the same two frames, at 30 frames a second after a still of
+the first, on a 24-inch Full HD monitor of 200 cd/m², 38 pixels a degree, not foveated. References
+have noise of their own: "fed the references" is about what a perfect picture would score.
 
 """
 

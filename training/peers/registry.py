@@ -45,6 +45,12 @@ def _svgf() -> PeerDenoiser:
     return Svgf()
 
 
+def _svgf_alone() -> PeerDenoiser:
+    from stillray.training.peers.svgf import Svgf, SvgfOptions
+
+    return Svgf(SvgfOptions(antialias_share=1.0))
+
+
 def _bmfr() -> PeerDenoiser:
     from stillray.training.peers.bmfr import Bmfr
 
@@ -56,6 +62,11 @@ PEERS = (
     Peer(
         name="svgf", label="SVGF", remembers=True, module="cv2",
         package="opencv-contrib-python-headless", make=_svgf,
+    ),
+    # its filter alone, as weight-sharing kernels and bilateral grids are filters alone
+    Peer(
+        name="svgf-alone", label="SVGF without TAA", remembers=True, module="cv2",
+        package="opencv-contrib-python-headless", make=_svgf_alone,
     ),
     Peer(
         name="bmfr", label="BMFR", remembers=True, module="scipy", package="scipy", make=_bmfr,
