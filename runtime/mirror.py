@@ -15,13 +15,14 @@ import cv2
 import numpy as np
 
 from stillray import encode
+from stillray.strips import Strips, with_halo
 
 # Of the surface's inverse depth: what is shown is infinitely far, four times or twice as far.
 # Eight more depths took three times as long and found the past no better.
 _NEARNESS = (0.0, 0.25, 0.5)
 _LEAST_SHARE = 1e-3  # of the frame that mirrors must fill to be looked at
 _LEAST_SIZE = 16  # pixels of a frame's shorter side
-_WINDOW = (7, 7)  # pixels at half resolution, over which past and present are compared
+_WINDOW = 7  # pixels at half resolution, over which past and present are compared
 # Another depth must bring the past this much nearer than the surface does: of noise alone, all
 # depths are as near as one another.
 _NEARER = np.float32(0.9)
@@ -168,6 +169,7 @@ def follow_reflections(
     *,
     exposure: float,
     black: float,
+    strips: Strips,
 ) -> np.ndarray:
     """Motion that follows what mirrors and clear glass show, where that brings the past nearer.
 
@@ -187,6 +189,8 @@ def follow_reflections(
         1 / irradiance, to compare tone-mapped.
     black
         Albedo that says nothing, at most.
+    strips
+        Where the search runs.
 
     Returns
     -------
@@ -208,21 +212,69 @@ def follow_reflections(
     if camera is None:
         return motion
     left, top, wide, high = cv2.boundingRect(shows)
-    box = (slice(top, top + high), slice(left, left + wide))
-    # of that box at full resolution
-    around = (slice(2 * top, 2 * (top + high)), slice(2 * left, 2 * (left + wide)))
-    shows = np.ascontiguousarray(shows[box])
-    depths = _every_second(depth[around])
-    np.copyto(depths, np.float32(1 / camera.unit), where=depths <= 0)
+    # toned before they are averaged: a window's frame would drown in the light beside it
+    before = _halved(encode.tone_map(encode.luminance(past)[even], exposure))
+    here = _halved(encode.tone_map(now[even], exposure))
+    result = motion.copy()
+
+    def work(rows: slice) -> bool:
+        rows = slice(top + rows.start, top + rows.stop)
+        around, own = with_halo(rows, _WINDOW // 2, len(shows))
+        box = (around, slice(left, left + wide))
+        full = tuple(slice(2 * part.start, 2 * part.stop) for part in box)
+        found, follows = _search(
+            camera,
+            _every_second(motion[full]),
+            _every_second(depth[full]),
+            shows[box].copy(),
+            (before, here[box]),
+            box,
+        )
+        found, follows = found[own], follows[own]
+        if not follows.any():
+            return False
+        mine = (slice(2 * rows.start, 2 * rows.stop), full[1])
+        # a motion field is smooth: what is mirror of a block follows as one
+        changed = _doubled(follows) & _is_black(np.ascontiguousarray(albedo[mine]), black)
+        inside = np.ascontiguousarray(motion[mine])
+        result[mine] = cv2.copyTo(_doubled(found), changed, inside)
+        return True
+
+    return result if any(strips.run(work, high, wide)) else motion
+
+
+def _search(
+    camera: CameraMotion,
+    moved: np.ndarray,
+    depth: np.ndarray,
+    shows: np.ndarray,
+    lights: tuple[np.ndarray, np.ndarray],
+    box: tuple[slice, slice],
+) -> tuple[np.ndarray, np.ndarray]:
+    """The motion of the best of the depths, and 255 where it is not the surface's.
+
+    Parameters
+    ----------
+    camera
+        How still points move.
+    moved : (h, w, 2) float32
+        Motion of the surfaces, full-size pixels; everything here has half the resolution.
+    depth : (h, w) float32
+        0 where nothing was hit.
+    shows : (h, w) uint8
+        Not 0 in mirrors. Overwritten.
+    lights
+        The whole past, and what there is now ``(h, w)``, tone-mapped.
+    box
+        Where these pixels lie in the frame of half the size.
+    """
+    before, here = lights
+    np.copyto(depth, np.float32(1 / camera.unit), where=depth <= 0)
     down, right = np.ogrid[box]
-    far, near = camera.parts(2 * down, 2 * right, depths)
-    moved = _every_second(motion[around])
+    far, near = camera.parts(2 * down, 2 * right, depth)
     # a mirror that moves itself shows what no camera tells
     astray = cv2.subtract(cv2.add(far, near), moved)
     shows &= cv2.inRange(astray, (-_AGREES,) * 2, (_AGREES,) * 2)
-    # toned before they are averaged: a window's frame would drown in the light beside it
-    before = _halved(encode.tone_map(encode.luminance(past)[even], exposure))
-    here = _halved(encode.tone_map(now[around], exposure))
     weight = shows.astype(np.float32)
     places = cv2.merge([part.astype(np.float32) for part in np.broadcast_arrays(right, down)])
 
@@ -231,7 +283,8 @@ def follow_reflections(
         at = cv2.scaleAdd(by, 0.5, places)
         taken = cv2.remap(before, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         difference = cv2.multiply(cv2.absdiff(taken, here), weight)
-        return cv2.boxFilter(difference, -1, _WINDOW, borderType=cv2.BORDER_CONSTANT)
+        window = (_WINDOW, _WINDOW)
+        return cv2.boxFilter(difference, -1, window, borderType=cv2.BORDER_CONSTANT)
 
     least = apart(moved) * _NEARER
     nearness, follows = np.zeros_like(weight), np.zeros_like(shows)
@@ -241,16 +294,7 @@ def follow_reflections(
         follows |= nearer
         cv2.copyTo(distance, nearer, least)
         nearness[nearer > 0] = share
-    if not follows.any():
-        return motion
-    found = far + near * nearness[..., None]
-    # a motion field is smooth: what is mirror of a block follows as one
-    changed = _doubled(follows) & _is_black(np.ascontiguousarray(albedo[around]), black)
-    result = motion.copy()
-    inside = np.ascontiguousarray(result[around])
-    cv2.copyTo(_doubled(found), changed, inside)
-    result[around] = inside
-    return result
+    return far + near * nearness[..., None], follows
 
 
 def _is_black(albedo: np.ndarray, black: float) -> np.ndarray:

@@ -157,7 +157,7 @@ def prepare(
 
     if history is not None:
         black = spec.demodulate.black
-        buffers = _follow_reflections(buffers, luminance, history, exposure, black, timings)
+        buffers = _follow_reflections(buffers, luminance, history, exposure, black, strips, timings)
     guides: np.ndarray | None = None
     if temporal and not (buffers.normal is None and buffers.depth is None):
         guides = np.empty((*shape, 4), np.float32) if spare is None else spare.guides
@@ -283,6 +283,7 @@ def _follow_reflections(
     history: History,
     exposure: float,
     black: float,
+    strips: Strips,
     timings: dict[str, float],
 ) -> Buffers:
     if buffers.motion is None or buffers.albedo is None or buffers.depth is None:
@@ -298,6 +299,7 @@ def _follow_reflections(
             history.mean,
             exposure=exposure,
             black=black,
+            strips=strips,
         )
     return replace(buffers, motion=motion)
 

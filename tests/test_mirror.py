@@ -8,6 +8,7 @@ import pytest
 import stillray
 from stillray import Frame
 from stillray.mirror import camera_motion, follow_reflections, has_mirrors
+from stillray.strips import Strips
 
 FOCAL = 100.0  # pixels
 TRAVEL = np.array([0.06, 0.01, 0.03])  # metres a frame
@@ -64,7 +65,7 @@ def pictures(depth, mirror, factor, seed=1):
 def follow(depth, albedo, past, now, motion=None, exposure=0.3):
     motion = motion_of(depth) if motion is None else motion
     return follow_reflections(
-        motion, depth, albedo, now, past, exposure=exposure, black=1e-3
+        motion, depth, albedo, now, past, exposure=exposure, black=1e-3, strips=Strips(2)
     ), motion
 
 
