@@ -212,6 +212,9 @@ def test_another_model_s_weights_are_taken_over_by_the_names_of_features(data, s
     second = train.FAMILIES[turned.family].network(turned)
     origin = train.start_from(tmp_path / "first" / train.CHECKPOINT, second, turned)
     assert origin == {"model": "wskp-3", "steps": 1}
+    (tmp_path / "first" / train.STARTED_FROM).write_text('{"model": "older", "steps": 7}')
+    origin = train.start_from(tmp_path / "first" / train.CHECKPOINT, second, turned)
+    assert origin["started_from"] == {"model": "older", "steps": 7}
     planes = torch.rand(1, len(names), 9, 7)
     planes[:, 0] = 0  # what the second does not read
     unread = torch.rand(1, 1, 9, 7)  # what the first did not read has no weight yet

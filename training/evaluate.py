@@ -194,10 +194,16 @@ def markdown(scores: Scores) -> str:
 
 
 def trained(models: Mapping[str, str]) -> str:
-    """A line that says for how many steps each model was trained."""
-    steps = {label: find_model(model).provenance.get("steps") for label, model in models.items()}
-    shown = ", ".join(f"{label} {count}" for label, count in steps.items() if count)
-    return f"Training steps: {shown}.\n\n"
+    """A line that says for how many steps each model was trained, each recipe in its turn."""
+    shown = []
+    for label, model in models.items():
+        part, counts = find_model(model).provenance, []
+        while part:
+            counts.insert(0, str(part.get("steps", "")))
+            part = part.get("started_from", {})
+        if any(counts):
+            shown.append(f"{label} {' + '.join(counts)}")
+    return f"Training steps: {', '.join(shown)}.\n\n"
 
 
 def _table(title: str, rows: dict[str, dict[str, float]]) -> str:

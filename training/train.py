@@ -245,7 +245,8 @@ def start_from(checkpoint: Path, network: nn.Module, spec: ModelSpec) -> dict[st
     Returns
     -------
     dict
-        Name and steps of the model that was taken over: goes into the provenance.
+        Name and steps of the model that was taken over, and of what that was started from in its
+        turn: goes into the provenance.
 
     Raises
     ------
@@ -281,7 +282,11 @@ def start_from(checkpoint: Path, network: nn.Module, spec: ModelSpec) -> dict[st
             )
         target[: len(value)] = value
     network.load_state_dict(state)
-    return {"model": before["name"], "steps": int(metadata["step"])}
+    origin = {"model": before["name"], "steps": int(metadata["step"])}
+    earlier = checkpoint.parent / STARTED_FROM
+    if earlier.is_file():
+        origin["started_from"] = json.loads(earlier.read_text())
+    return origin
 
 
 def load_network(
