@@ -21,7 +21,6 @@ from tests.hard_cases.case import (
     still,
 )
 
-# 4.2, 73 and 1.2 before it was trained to take more of a frame's own sample
 _TRUSTS_SAMPLES = "the network takes too much of a lone bright sample where nothing else is noisy"
 FIREFLIES = (1e3, 1e4, 1e6, 1e12, 1e30, 3e38)  # times the surroundings, which are below 1
 
@@ -53,7 +52,6 @@ def _peak(denoiser: stillray.Denoiser, before: int, after: int) -> float:
     "a firefly of 1e3 to 3e38 in the first frame",
     "largest pixel / the same without it",
     6,
-    kpyr_5=_TRUSTS_SAMPLES,
     kpyr_5s=_TRUSTS_SAMPLES,
     nbg_2x1="one grid spreads a firefly over 6 pixels to each side, too few to bring it down",
 )
@@ -159,7 +157,6 @@ def nothing_but_broken_pixels(denoiser: stillray.Denoiser) -> float:
     "a NaN beside a firefly of 3e38",
     "largest pixel / the surroundings",
     3,
-    kpyr_5=_TRUSTS_SAMPLES,
     kpyr_5s=_TRUSTS_SAMPLES,
 )
 def broken_pixel_beside_a_firefly(denoiser: stillray.Denoiser) -> float:
