@@ -46,7 +46,7 @@ holds for a lamp or a glint that is really there and a pixel or two large.
 
 Before, weights were 1 / (1 + L / (64 s)) with a least weight of 1e-6. Over 120 still frames that
 took 3.2 % of the light of exponential noise (now 0.02 % over 1,000); a firefly of 3e38 lifted a
-pixel of kpyr-5 to 1e28 times itself (now 7), and four frames later to 1e21 times (now 1.7).
+pixel of kpyr-5 to 1e28 times itself (now 5), and four frames later to 1e21 times (now 1.8).
 
 ## What it costs
 
