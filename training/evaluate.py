@@ -198,7 +198,8 @@ def trained(models: Mapping[str, str]) -> str:
     """A line that says for how many steps each model was trained, each recipe in its turn."""
     shown = []
     for label, model in models.items():
-        part, counts = find_model(model).provenance, []
+        part = find_model(model).provenance
+        counts: list[str] = []
         while part:
             counts.insert(0, str(part.get("steps", "")))
             part = part.get("started_from", {})
