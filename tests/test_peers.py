@@ -253,7 +253,9 @@ def test_tone_curve_is_undone(rng):
 
 
 def test_an_unknown_peer_is_refused():
-    with pytest.raises(InputError, match=r"peer must be one of svgf, bmfr, oidn-high, .* got nlm"):
+    with pytest.raises(
+        InputError, match=r"peer must be one of svgf, svgf-alone, bmfr, oidn-high, .* got nlm"
+    ):
         find_peer("nlm")
 
 

@@ -233,9 +233,9 @@ def test_the_second_colour_is_independent_and_of_the_same_mean(mi, stage):
 
 
 def test_a_reference_of_twice_the_size_is_the_same_picture(mi):
-    once = exact(mi, everything(), ("soft_shadow",), spp=256, height=8, width=10)
+    once = exact(mi, everything(), ("soft_shadow",), spp=512, height=8, width=10)
     twice = exact(
-        mi, everything(), ("soft_shadow",), spp=128, height=8, width=10, reference_scale=2
+        mi, everything(), ("soft_shadow",), spp=256, height=8, width=10, reference_scale=2
     )
     pooled = twice.reshape(8, 2, 10, 2, 3).mean(axis=(1, 3))
     # what is left is the noise of hundreds of samples
