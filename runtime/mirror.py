@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from stillray import encode
+from stillray.resample import double, halve
 from stillray.strips import Strips, with_halo
 
 # Of the surface's inverse depth: what is shown is infinitely far, four times or twice as far.
@@ -156,7 +157,8 @@ def has_mirrors(albedo: np.ndarray, black: float) -> bool:
     if min(albedo.shape[:2]) < _LEAST_SIZE:
         return False
     # most frames have none, which one pixel in sixteen tells
-    few = _is_black(_resized(albedo, 0.25, cv2.INTER_NEAREST), black)
+    few = cv2.resize(albedo, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_NEAREST)
+    few = _is_black(few, black)
     return cv2.countNonZero(few) >= max(_LEAST_SHARE * few.size, 1)
 
 
@@ -172,6 +174,8 @@ def follow_reflections(
     strips: Strips,
 ) -> np.ndarray:
     """Motion that follows what mirrors and clear glass show, where that brings the past nearer.
+
+    For frames that `has_mirrors` picks out: the search is dear.
 
     Parameters
     ----------
@@ -195,11 +199,11 @@ def follow_reflections(
     Returns
     -------
     (h, w, 2) float32
-        Finite; the input itself where no mirror is large enough, or nothing shows in it that moves
+        Finite; the input itself where there is no mirror, or nothing shows in it that moves
         otherwise.
     """
     height, width = depth.shape
-    if not has_mirrors(albedo, black) or not motion.any():
+    if not motion.any():
         return motion
     even = (slice(0, height // 2 * 2), slice(0, width // 2 * 2))
     shows = cv2.bitwise_and(
@@ -213,8 +217,8 @@ def follow_reflections(
         return motion
     left, top, wide, high = cv2.boundingRect(shows)
     # toned before they are averaged: a window's frame would drown in the light beside it
-    before = _halved(encode.tone_map(encode.luminance(past)[even], exposure))
-    here = _halved(encode.tone_map(now[even], exposure))
+    before = halve(encode.tone_map(encode.luminance(past)[even], exposure))
+    here = halve(encode.tone_map(now[even], exposure))
     result = motion.copy()
 
     def work(rows: slice) -> bool:
@@ -235,9 +239,9 @@ def follow_reflections(
             return False
         mine = (slice(2 * rows.start, 2 * rows.stop), full[1])
         # a motion field is smooth: what is mirror of a block follows as one
-        changed = _doubled(follows) & _is_black(np.ascontiguousarray(albedo[mine]), black)
+        changed = double(follows) & _is_black(np.ascontiguousarray(albedo[mine]), black)
         inside = np.ascontiguousarray(motion[mine])
-        result[mine] = cv2.copyTo(_doubled(found), changed, inside)
+        result[mine] = cv2.copyTo(double(found), changed, inside)
         return True
 
     return result if any(strips.run(work, high, wide)) else motion
@@ -304,17 +308,4 @@ def _is_black(albedo: np.ndarray, black: float) -> np.ndarray:
 
 def _every_second(image: np.ndarray) -> np.ndarray:
     """Every second pixel of every second row of an image of even sizes."""
-    return _resized(image, 0.5, cv2.INTER_NEAREST)
-
-
-def _halved(image: np.ndarray) -> np.ndarray:
-    """Means of 2x2 blocks."""
-    return _resized(image, 0.5, cv2.INTER_AREA)
-
-
-def _doubled(image: np.ndarray) -> np.ndarray:
-    return _resized(image, 2, cv2.INTER_NEAREST)
-
-
-def _resized(image: np.ndarray, factor: float, interpolation: int) -> np.ndarray:
-    return cv2.resize(image, None, fx=factor, fy=factor, interpolation=interpolation)
+    return cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_NEAREST)

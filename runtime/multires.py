@@ -22,7 +22,8 @@ import numpy as np
 from stillray.kernels import bounded_exp, filter_planes
 from stillray.models_spec.loader import FusedKernels, ModelSpec, PyramidNetwork
 from stillray.prepare import Prepared
-from stillray.pyramid import halve, multiple
+from stillray.pyramid import multiple
+from stillray.resample import double, halve
 from stillray.scratch import Scratch
 from stillray.strips import Strips, interleave, planes_of, with_halo
 from stillray.timing import timed, timed_pass
@@ -105,7 +106,7 @@ def settle(
     found = []
     for mean, maps in reversed(list(zip(means[:-1], outputs[:-1], strict=True))):
         fine = _level(mean, None, maps, None, options, strips)
-        steps = np.stack([_double(_step(*planes)) for planes in zip(fine, coarser, strict=True)])
+        steps = np.stack([double(_step(*planes)) for planes in zip(fine, coarser, strict=True)])
         coarser = _level(mean, coarser, maps, None, options, strips)
         shares = np.zeros_like(fine)
         np.divide(coarser - fine, steps, out=shares, where=steps != 0)
@@ -253,7 +254,7 @@ def _rows(
     coarse = coarser[:, rows.start // 2 : rows.stop // 2]
     if settled is not None:
         for plane, above, share in zip(fine, coarse, settled[:, rows], strict=True):
-            cv2.accumulateProduct(_double(_step(plane, above)), share, plane)
+            cv2.accumulateProduct(double(_step(plane, above)), share, plane)
         return fine
     alpha, held = scratch.array("alpha", fine.shape[1:]), scratch.array("held", fine.shape[1:])
     bounded_exp(logits[-1, rows], options.logit_bound, alpha)
@@ -269,20 +270,14 @@ def _give_way(fine: np.ndarray, coarser: np.ndarray, alpha: np.ndarray) -> None:
     low, high = np.minimum(upper, lower), np.maximum(upper, lower)
     least = np.minimum(np.minimum(low[:, ::2], low[:, 1::2]), coarser)
     most = np.maximum(np.maximum(high[:, ::2], high[:, 1::2]), coarser)
-    cv2.accumulateProduct(_double(_step(fine, coarser)), alpha, fine)
-    np.maximum(fine, _double(least), out=fine)
-    np.minimum(fine, _double(most), out=fine)
+    cv2.accumulateProduct(double(_step(fine, coarser)), alpha, fine)
+    np.maximum(fine, double(least), out=fine)
+    np.minimum(fine, double(most), out=fine)
 
 
 def _step(fine: np.ndarray, coarser: np.ndarray) -> np.ndarray:
     """From the mean of each block to the coarser level."""
     return coarser - halve(fine)
-
-
-def _double(plane: np.ndarray) -> np.ndarray:
-    """Every pixel twice along each axis."""
-    height, width = plane.shape
-    return cv2.resize(plane, (2 * width, 2 * height), interpolation=cv2.INTER_NEAREST)
 
 
 def _numbers(outputs: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -19,6 +19,7 @@ import numpy as np
 from stillray.kernels import bounded_exp
 from stillray.models_spec.loader import ModelSpec, PyramidKernels, PyramidNetwork
 from stillray.prepare import Prepared
+from stillray.resample import halve
 from stillray.scratch import Scratch
 from stillray.strips import Strips, interleave, planes_of, with_halo
 from stillray.timing import timed
@@ -444,12 +445,6 @@ def _box(plane: np.ndarray, size: int, out: np.ndarray) -> np.ndarray:
     kernel = np.full(size, 1 / size, np.float32)
     border = cv2.BORDER_CONSTANT
     return cv2.sepFilter2D(plane, cv2.CV_32F, kernel, kernel, dst=out, borderType=border)
-
-
-def halve(plane: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-    """Means of 2x2 blocks."""
-    height, width = plane.shape
-    return cv2.resize(plane, (width // 2, height // 2), dst=out, interpolation=cv2.INTER_AREA)
 
 
 def _double(planes: np.ndarray) -> np.ndarray:

@@ -52,9 +52,8 @@ def plan(frame: Frame, spec: ModelSpec, *, has_history: bool, temporal: bool) ->
         why_guides = "normal or depth tell surfaces apart"
     else:
         why_guides = "no normal or depth given" if temporal else why
-    follows = past and frame.depth is not None and frame.albedo is not None
-    why_mirror = "only motion, depth, albedo and a past tell what a mirror shows"
-    if follows and frame.albedo is not None:
+    follows, why_mirror = False, "only motion, depth, albedo and a past tell what a mirror shows"
+    if past and frame.depth is not None and frame.albedo is not None:
         follows = has_mirrors(frame.albedo, spec.demodulate.black)
         why_mirror = f"{'some' if follows else 'no'} surfaces are black, as mirrors and glass are"
     why_modulate = "albedo is given" if albedo else "no albedo given"
