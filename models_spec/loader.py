@@ -127,6 +127,9 @@ class PyramidNetwork:
     """A U-Net of RepVGG blocks that gives logits at every resolution, finest first."""
 
     features: tuple[str, ...]  # input planes by name
+    # pixels, 1 or 2: the finest level works on blocks with this side, and tells their pixels apart
+    # in its logits alone; with 2 it gives those of two resolutions
+    block: int
     widths: tuple[int, ...]  # channels of each level; every level halves the resolution
     encoder_blocks: tuple[int, ...]  # blocks of each level on the way down, after its entry
     decoder_blocks: tuple[int, ...]  # blocks of each level but the coarsest on the way up
@@ -137,6 +140,7 @@ class PyramidNetwork:
 
     def __post_init__(self) -> None:
         _branches(self.kernel_size, self.branches)
+        _within("network.block", self.block, 1, 2)
         levels = len(self.widths)
         for key, count in (
             ("encoder_blocks", levels),
@@ -149,13 +153,20 @@ class PyramidNetwork:
                     f"got {getattr(self, key)}"
                 )
 
+    @property
+    def resolutions(self) -> int:
+        """How many resolutions there are logits for."""
+        return len(self.widths) + self.block - 1
+
 
 @dataclass(frozen=True, kw_only=True)
 class PyramidKernels:
     """Weight-sharing kernels at several resolutions, then a resolve with the previous output."""
 
     kernel_sizes: tuple[int, ...]  # pixels of each level, odd, one importance map each
+    finest_kernels: bool  # whether the finest level has them too, or the coarser alone
     logit_bound: float  # logits are clipped to +- this, (0, 20]
+    sharp_recall: bool  # whether the previous output is interpolated by cubic convolution
 
     def __post_init__(self) -> None:
         _odd(self.kernel_sizes)

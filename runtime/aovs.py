@@ -96,6 +96,9 @@ def filter_layers(
     accumulated = _accumulation(prepared, history, weight, spec, strips)
     if family.settle is not None:
         outputs = family.settle(prepared, outputs, spec, strips)
+    follow: Callable[[np.ndarray], np.ndarray] | None = None
+    if history is not None and history.output is not None and prepared.motion is not None:
+        follow = recall.recall_of_layers(history.output, prepared.motion, spec, strips)
     images, pasts = {}, {}
     for name, layer in layers.items():
         radiance = np.where(np.isfinite(layer), layer, np.float32(0))
@@ -109,8 +112,8 @@ def filter_layers(
         if accumulated is not None and history is not None and prepared.motion is not None:
             past = history.layers[name]
             mean = accumulated(past.mean, light)
-            if past.output is not None:
-                previous = recall.recall(past.output, prepared.motion, strips)
+            if past.output is not None and follow is not None:
+                previous = follow(past.output)
                 previous = recall.forget_uncovered(previous, past.output, prepared)
         own = replace(
             prepared,

@@ -207,7 +207,7 @@ class Denoiser:
         previous: np.ndarray | None = None
         if family.recalls and self.temporal:
             previous = recall.recalled(
-                history, prepared, self._strips, self.last_timings, self._kept
+                history, prepared, spec, self._strips, self.last_timings, self._kept
             )
         images: dict[str, np.ndarray] = {}
         pasts: dict[str, LayerPast] = {}

@@ -54,7 +54,7 @@ def method(spec: ModelSpec) -> str:
     """What the reconstruction does, in a few words."""
     assert isinstance(spec.network, PyramidNetwork)
     assert isinstance(spec.decoder, FusedKernels)
-    kernels, levels = len(spec.decoder.kernel_sizes), len(spec.network.widths)
+    kernels, levels = len(spec.decoder.kernel_sizes), spec.network.resolutions
     return f"{kernels} fused kernels at each of {levels} resolutions"
 
 

@@ -58,7 +58,7 @@ class LevelLayout:
 
 def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayout:
     """The layout of a level, 0 being the finest."""
-    kernels = len(options.kernel_sizes)
+    kernels = len(options.kernel_sizes) if level > 0 or options.finest_kernels else 0
     coarsest = level == levels - 1
     counts = (
         kernels,
@@ -72,14 +72,41 @@ def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayou
 
 
 def level_logits(level: int, levels: int, options: PyramidKernels) -> int:
-    """Planes that the network gives at a level, 0 being the finest."""
+    """Planes that a level's logits have, 0 being the finest."""
     return level_layout(level, levels, options).renew.stop
+
+
+def unfold(logits: Sequence[np.ndarray], strips: Strips) -> list[np.ndarray]:
+    """Logits with those of the finest level as one map, where the network gave them by blocks.
+
+    Parameters
+    ----------
+    logits
+        One ``(planes, H, W)`` map a level, finest first. The finest may have four planes for each
+        of its own, of half the size: of the top left pixels of 2x2 blocks, the top right, the
+        bottom left, the bottom right. They are told by having the size of the next level.
+    strips
+        Where the work runs.
+    """
+    finest, *coarser = logits
+    if not coarser or finest.shape[1:] != coarser[0].shape[1:]:
+        return list(logits)
+    planes, (height, width) = len(finest) // 4, finest.shape[1:]
+    whole = np.empty((planes, height, 2, width, 2), np.float32)
+
+    def work(rows: slice) -> None:
+        for plane, target in zip(finest.reshape(planes, 2, 2, height, width), whole, strict=True):
+            for pair, lines in zip(plane, target.transpose(1, 0, 2, 3), strict=True):
+                cv2.merge([pair[0, rows], pair[1, rows]], dst=lines[rows])
+
+    strips.run(work, height, width)
+    return [whole.reshape(planes, 2 * height, 2 * width), *coarser]
 
 
 def multiple(spec: ModelSpec) -> int:
     """Height and width of the network's input must be multiples of this, pixels."""
     assert isinstance(spec.network, PyramidNetwork)
-    return 1 << (len(spec.network.widths) - 1)
+    return 1 << (spec.network.resolutions - 1)
 
 
 def reach(spec: ModelSpec) -> int:
@@ -101,14 +128,15 @@ def receptive_field(spec: ModelSpec) -> int:
     entries = radius + sum(radius << (level - 1) for level in range(1, coarsest + 1))
     down = sum(radius * count << level for level, count in enumerate(network.encoder_blocks))
     up = sum(radius * count << level for level, count in enumerate(network.decoder_blocks))
-    # doubled pixels lie up to one coarser pixel off
-    return entries + down + up + radius + (1 << coarsest)
+    # doubled pixels lie up to one coarser pixel off, and a pixel anywhere in its block
+    way = entries + down + up + radius + (1 << coarsest)
+    return network.block * way + network.block - 1
 
 
 def method(spec: ModelSpec) -> str:
     """What the reconstruction does, in a few words."""
     assert isinstance(spec.network, PyramidNetwork)
-    return f"kernels at {len(spec.network.widths)} resolutions, resolved with the last output"
+    return f"kernels at {spec.network.resolutions} resolutions, resolved with the last output"
 
 
 def reconstruct(
@@ -156,7 +184,8 @@ def filter_pyramid(
         Radiance of the previous output at these pixels, and how much of it is valid, [0, 1].
     logits
         One ``(planes, H, W)`` map a level, finest first, of the frame's size rounded up to
-        `multiple`; any values. The frame's last row and column are repeated to that size.
+        `multiple`; any values. The finest may come by blocks, see `unfold`. The frame's last row
+        and column are repeated to that size.
     options
         Kernel sizes and the bound of the logits.
     strips
@@ -168,6 +197,7 @@ def filter_pyramid(
         Radiance: for every pixel a convex combination of the irradiance around it, accumulated
         and new, times the divisors of its 3x3 neighbours, and of the previous output.
     """
+    logits = unfold(logits, strips)
     image = _filtered(mean, sample, divisor, previous, logits, options, strips)
     # A logit that is not a number says nothing: 0. It shows in the image, which is a fifth of the
     # logits to look through.
@@ -377,7 +407,8 @@ def _blend(
     np.add(shares[0], 1, out=normal)
     for share in shares[1:]:
         normal += share
-    for index, (size, share) in enumerate(zip(options.kernel_sizes, others, strict=True)):
+    # none where the finest level has no kernels
+    for index, (size, share) in enumerate(zip(options.kernel_sizes, others, strict=False)):
         near, inner = with_halo(rows, size // 2, height)
         strip = (near.stop - near.start, width)
         weight, product, box = (scratch.array(name, strip) for name in ("weight", "product", "box"))

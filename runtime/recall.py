@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 
+from stillray.models_spec.loader import ModelSpec, PyramidKernels
 from stillray.prepare import History, Prepared
 from stillray.reproject import positions_of
 from stillray.scratch import Scratch
@@ -20,6 +23,7 @@ _LEAST_VALID, _WHOLE = np.float32(1e-3), np.float32(1 - 1e-3)
 def recalled(
     history: History | None,
     prepared: Prepared,
+    spec: ModelSpec,
     strips: Strips,
     timings: dict[str, float],
     kept: Scratch | None = None,
@@ -34,7 +38,7 @@ def recalled(
         return None
     with timed(timings, "recall"):
         out = None if kept is None else kept.array("recalled", history.output.shape)
-        past = recall(history.output, prepared.motion, strips, out)
+        past = recall(history.output, prepared.motion, strips, out, sharp=is_sharp(spec))
         return forget_uncovered(past, history.output, prepared)
 
 
@@ -79,7 +83,12 @@ def remember(image: np.ndarray, spare: History | None = None) -> np.ndarray:
 
 
 def recall(
-    output: np.ndarray, motion: np.ndarray, strips: Strips, out: np.ndarray | None = None
+    output: np.ndarray,
+    motion: np.ndarray,
+    strips: Strips,
+    out: np.ndarray | None = None,
+    *,
+    sharp: bool = False,
 ) -> np.ndarray:
     """Follow the motion back into the previous output.
 
@@ -96,11 +105,15 @@ def recall(
         Where the work runs.
     out : (h, w, 4) float32, optional
         Written and returned where something moves.
+    sharp
+        Interpolate by cubic convolution (Keys 1981), limited to the range of the four pixels
+        around: a mean of four, frame after frame, would wash out every edge of a moving picture.
+        Positions are rounded to 1/32 pixel. Where one of the four is outside, bilinear.
 
     Returns
     -------
     (h, w, 4) float32
-        Radiance, bilinear, and how much of it lay in the frame, [0, 1]; zeros outside.
+        Radiance, and how much of it lay in the frame, [0, 1]; zeros outside.
     """
     if not motion.any():
         return output
@@ -110,22 +123,115 @@ def recall(
     def work(rows: slice) -> None:
         scratch, taken = strips.scratch, past[rows]
         positions = scratch.array("positions", motion[rows].shape)
-        # exact at four channels; for some other counts OpenCV rounds positions to 1/32 pixel
-        cv2.remap(
-            output,
-            positions_of(motion[rows], rows, positions),
-            None,
-            cv2.INTER_LINEAR,
-            dst=taken,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=0,
-        )
-        # at the border of the frame: the mean of the taps that there are
-        valid = cv2.extractChannel(taken, 3, dst=scratch.array("valid", taken.shape[:2]))
-        if valid.min() < _WHOLE:
-            down, right = np.nonzero((valid > 0) & (valid < _WHOLE))
-            share = np.maximum(valid[down, right], _LEAST_VALID)
-            taken[down, right, :3] /= share[:, None]
+        positions_of(motion[rows], rows, positions)
+        if not sharp:
+            _bilinear(output, positions, taken)
+            return
+        _cubic(output, positions, taken)
+        least, most = _range_around(output, positions, scratch)
+        cv2.min(cv2.max(taken, least, dst=taken), most, dst=taken)
+        if least[..., 3].min() < 1:
+            down, right = np.nonzero(least[..., 3] < 1)
+            taken[down, right] = _bilinear(output, positions[down, right][:, None])[:, 0]
 
     strips.run(work, height, width)
     return past
+
+
+def recall_of_layers(
+    output: np.ndarray, motion: np.ndarray, spec: ModelSpec, strips: Strips
+) -> Callable[[np.ndarray], np.ndarray]:
+    """How the previous outputs of layers are brought to the current pixels.
+
+    The limits of sharp interpolation depend on the light. Layers add up to the beauty only if they
+    go as far from linear to cubic interpolation as the beauty did, whatever they hold themselves.
+
+    Parameters
+    ----------
+    output, motion, strips
+        As for `recall`, of the beauty.
+    spec
+        Of the model.
+
+    Returns
+    -------
+    Callable
+        From a layer's previous output, see `remember`, to what `recall` gives.
+    """
+    if not is_sharp(spec) or not motion.any():
+        return lambda layer: recall(layer, motion, strips)
+    limited = recall(output, motion, strips, sharp=True)
+    linear, step = _linear_and_step(output, motion, strips)
+    shares = np.zeros_like(step)
+    np.divide(limited - linear, step, out=shares, where=step != 0)
+    np.clip(shares, 0, 1, out=shares)
+
+    def follow(layer: np.ndarray) -> np.ndarray:
+        linear, step = _linear_and_step(layer, motion, strips)
+        linear += np.multiply(step, shares, out=step)
+        return linear
+
+    return follow
+
+
+def is_sharp(spec: ModelSpec) -> bool:
+    """Whether a model recalls its outputs by sharp interpolation."""
+    return isinstance(spec.decoder, PyramidKernels) and spec.decoder.sharp_recall
+
+
+def _linear_and_step(
+    output: np.ndarray, motion: np.ndarray, strips: Strips
+) -> tuple[np.ndarray, np.ndarray]:
+    """Linear interpolation of a whole output, and the step from there to cubic interpolation."""
+    linear, step = np.empty_like(output), np.empty_like(output)
+
+    def work(rows: slice) -> None:
+        positions = positions_of(motion[rows], rows)
+        _bilinear(output, positions, linear[rows])
+        _cubic(output, positions, step[rows])
+        step[rows] -= linear[rows]
+
+    strips.run(work, *motion.shape[:2])
+    return linear, step
+
+
+def _bilinear(
+    output: np.ndarray, positions: np.ndarray, taken: np.ndarray | None = None
+) -> np.ndarray:
+    """Means of the taps that there are; the last channel says how much of them lay in the frame."""
+    border = cv2.BORDER_CONSTANT
+    # exact at four channels; for some other counts OpenCV rounds positions to 1/32 pixel
+    taken = cv2.remap(output, positions, None, cv2.INTER_LINEAR, taken, border, 0)
+    valid = cv2.extractChannel(taken, 3)
+    if valid.min() < _WHOLE:
+        down, right = np.nonzero((valid > 0) & (valid < _WHOLE))
+        share = np.maximum(valid[down, right], _LEAST_VALID)
+        taken[down, right, :3] /= share[:, None]
+    return taken
+
+
+def _cubic(
+    output: np.ndarray, positions: np.ndarray, taken: np.ndarray | None = None
+) -> np.ndarray:
+    return cv2.remap(output, positions, None, cv2.INTER_CUBIC, taken, cv2.BORDER_REPLICATE)
+
+
+def _range_around(
+    output: np.ndarray, positions: np.ndarray, scratch: Scratch
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least and most of the four pixels around each position; zeros lie outside of the frame."""
+    shape = (*positions.shape[:2], 4)
+    least, most, tap = (scratch.array(name, shape) for name in ("least", "most", "tap"))
+    corner = np.floor(positions, out=scratch.array("corner", positions.shape))
+    _nearest(output, corner, least)
+    np.copyto(most, least)
+    for axis, step in ((0, 1), (1, 1), (0, -1)):
+        corner[..., axis] += step
+        _nearest(output, corner, tap)
+        cv2.min(least, tap, dst=least)
+        cv2.max(most, tap, dst=most)
+    return least, most
+
+
+def _nearest(output: np.ndarray, positions: np.ndarray, taken: np.ndarray) -> None:
+    cv2.remap(output, positions, None, cv2.INTER_NEAREST, taken, cv2.BORDER_CONSTANT, 0)

@@ -213,6 +213,14 @@ def _recall(given: Inputs) -> float:
     return _relative(got, wanted)
 
 
+def _sharp_recall(given: Inputs) -> float:
+    output = recall.remember(given["past"])
+    motion = np.round(given["at"] * 32) / np.float32(32)  # what it rounds to itself
+    got = recall.recall(output, motion, _STRIPS, sharp=True)
+    wanted, brightest = oracles.sharp_recall(output, motion)
+    return float((np.abs(got - wanted).max(-1) / np.maximum(brightest, 1e-30)).max())
+
+
 _KERNELS = load("wskp-6").decoder
 _PYRAMID = load("kpyr-5").decoder
 
@@ -335,6 +343,10 @@ OPERATORS = [
     ),
     Operator(
         name="recall", error=_recall, limit=2e-5,
+        ranges={"past": _radiance(_H, _W, 3), "at": ((_H, _W, 2), -4, 4, False)},
+    ),
+    Operator(
+        name="sharp recall", error=_sharp_recall, limit=2e-5, unit="the brightest of 4x4",
         ranges={"past": _radiance(_H, _W, 3), "at": ((_H, _W, 2), -4, 4, False)},
     ),
     Operator(

@@ -76,6 +76,45 @@ def reproject(
     return result
 
 
+def sharp_recall(output: np.ndarray, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`stillray.recall.recall`, sharp, pixel by pixel; and the brightest of the pixels it meets.
+
+    Cubic convolution (Keys 1981, eq. 4, with OpenCV's a = -0.75), limited to the range of the four
+    pixels around; the mean of those in the frame where they are not all.
+    """
+    (height, width), values = output.shape[:2], output.astype(np.float64)
+    result, brightest = np.zeros(values.shape), np.zeros((height, width))
+
+    def weight(distance: float) -> float:
+        d, a = abs(distance), -0.75
+        if d <= 1:
+            return (a + 2) * d**3 - (a + 3) * d**2 + 1
+        return a * (d**3 - 5 * d**2 + 8 * d - 4) if d < 2 else 0.0
+
+    for y, x in np.ndindex(height, width):
+        at_x, at_y = x + float(motion[y, x, 0]), y + float(motion[y, x, 1])
+        left, top = int(np.floor(at_x)), int(np.floor(at_y))
+        taps = [(top + a, left + b) for a in (0, 1) for b in (0, 1)]
+        inside = [0 <= p[0] < height and 0 <= p[1] < width for p in taps]
+        if all(inside):
+            around = np.array([values[p] for p in taps])
+            for ty in range(top - 1, top + 3):
+                for tx in range(left - 1, left + 3):
+                    near = values[min(max(ty, 0), height - 1), min(max(tx, 0), width - 1)]
+                    result[y, x] += weight(at_y - ty) * weight(at_x - tx) * near
+                    brightest[y, x] = max(brightest[y, x], near[:3].max())
+            result[y, x] = np.clip(result[y, x], around.min(0), around.max(0))
+            continue
+        for p, there in zip(taps, inside, strict=True):
+            if there:
+                share = (1 - abs(at_y - p[0])) * (1 - abs(at_x - p[1]))
+                result[y, x] += share * values[p]
+                brightest[y, x] = max(brightest[y, x], values[p][:3].max())
+        if result[y, x, 3] > 0:
+            result[y, x, :3] /= max(result[y, x, 3], 1e-3)  # below, light fades
+    return result, brightest
+
+
 def kernel_pyramid(
     mean: np.ndarray,
     sample: np.ndarray,
@@ -85,7 +124,7 @@ def kernel_pyramid(
     options: PyramidKernels,
 ) -> np.ndarray:
     """`stillray.pyramid.filter_pyramid`, pixel by pixel; arrays as it takes them."""
-    bound, count, levels = options.logit_bound, len(options.kernel_sizes), len(logits)
+    bound, levels = options.logit_bound, len(logits)
     weights = [np.exp(np.clip(level.astype(np.float64), -bound, bound)) for level in logits]
     height, width = mean.shape[:2]
     full = weights[0].shape[1:]
@@ -100,8 +139,12 @@ def kernel_pyramid(
         light[y, x] = np.average([padded[y, x, :3], new[y, x, :3]], axis=0, weights=parts)
         held[y, x] = sum(parts) / (1 + weights[0][-1, y, x])
     pyramid = [(light, held)]
+    sizes = [options.kernel_sizes] * levels
+    if not options.finest_kernels:
+        sizes[0] = ()
     for level in range(levels - 1):
         light, held = pyramid[-1]
+        count = len(sizes[level])
         half = (held.shape[0] // 2, held.shape[1] // 2)
         coarse, samples = np.zeros((*half, 3)), np.zeros(half)
         for y, x in np.ndindex(half):
@@ -117,12 +160,12 @@ def kernel_pyramid(
     result = np.zeros(0)
     for level in reversed(range(levels)):
         light, held = pyramid[level]
-        coarsest = level == levels - 1
+        coarsest, count = level == levels - 1, len(sizes[level])
         blended = np.zeros_like(light)
         for y, x in np.ndindex(held.shape):
             choices = [light[y, x]] + [
                 _window(light, weights[level][index] * held, y, x, size // 2)
-                for index, size in enumerate(options.kernel_sizes)
+                for index, size in enumerate(sizes[level])
             ]
             first = count if coarsest else count + 1
             shares = list(weights[level][first : first + len(choices) - coarsest, y, x])

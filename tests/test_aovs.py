@@ -10,7 +10,7 @@ from stillray.frame import Frame
 from tests.conftest import make_frame
 
 HEIGHT, WIDTH = 45, 38
-MODELS = ["fast", "balanced", "wskp-mr"]
+MODELS = ["wskp-3", "kpyr-5s", "kpyr-5", "wskp-mr"]
 
 
 def split(color, seed=0):

@@ -37,7 +37,7 @@ def test_block_s_gradients_equal_those_of_its_branches():
         torch.testing.assert_close(one, other)
 
 
-@pytest.mark.parametrize("name", ["wskp-3", "wskp-6", "kpyr-5", "nbg-7x3", "wskp-mr"])
+@pytest.mark.parametrize("name", ["wskp-3", "wskp-6", "kpyr-5", "kpyr-5xs", "nbg-7x3", "wskp-mr"])
 def test_fused_network_equals_the_trained_one_which_stays_as_it_was(name):
     torch.manual_seed(0)
     spec = load(name)
@@ -94,3 +94,31 @@ def test_pyramid_gives_a_map_a_level_and_starts_unresolved():
     assert [tuple(level.shape[2:]) for level in maps] == [(32 >> i, 48 >> i) for i in range(5)]
     resolve = pyramid.level_layout(0, 5, spec.decoder).resolve
     assert float(maps[0][:, resolve].mean()) < -2
+
+
+def test_a_pyramid_that_works_on_blocks_gives_four_planes_for_one_and_the_blocks_own():
+    spec = load("kpyr-5xs")
+    network = FAMILIES[spec.family].network(spec)
+    features = torch.zeros(2, len(spec.network.features), 32, 48)
+    maps = network(features)
+    assert [tuple(level.shape[2:]) for level in maps] == [(16, 24)] + [
+        (32 >> i, 48 >> i) for i in range(1, 5)
+    ]
+    planes = [pyramid.level_logits(level, 5, spec.decoder) for level in range(5)]
+    assert [level.shape[1] for level in maps] == [4 * planes[0], *planes[1:]]
+    resolve = pyramid.level_layout(0, 5, spec.decoder).resolve
+    assert float(torch.pixel_shuffle(maps[0], 2)[:, resolve].mean()) < -2
+
+
+def test_every_pixel_of_a_block_sees_its_neighbours():
+    spec = load("kpyr-5xs")
+    entry = FAMILIES[spec.family].network(spec).enter[0]
+    features = torch.zeros(1, len(spec.network.features), 16, 16)
+    inside = []
+    for column in range(16):
+        features[..., 8, column] = 1
+        changed = (entry(features) != entry(torch.zeros_like(features))).any(1)[0, 4]
+        inside.append(changed.nonzero().flatten().tolist())
+        features.zero_()
+    # block 4 stands for columns 8 and 9, and looks from 7 to 10
+    assert [column for column in range(16) if 4 in inside[column]] == [7, 8, 9, 10]

@@ -57,6 +57,26 @@ def test_one_kernel_a_level_equals_the_loop_oracle():
     np.testing.assert_allclose(got, oracles.kernel_pyramid(*inputs, options), rtol=5e-6)
 
 
+def test_a_finest_level_without_kernels_equals_the_loop_oracle():
+    options = dataclasses.replace(OPTIONS, finest_kernels=False)
+    inputs = draw(9, 14, options=options)
+    got = pyramid.filter_pyramid(*inputs, options, Strips(1))
+    np.testing.assert_allclose(got, oracles.kernel_pyramid(*inputs, options), rtol=5e-6)
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (9, 14), (150, 70)])
+def test_logits_that_come_by_blocks_are_those_of_the_pixels(height, width):
+    *buffers, logits = draw(height, width)
+    planes, rows, columns = logits[0].shape
+    blocks = np.zeros((4 * planes, rows // 2, columns // 2), np.float32)
+    for plane, y, x in np.ndindex(planes, rows, columns):
+        blocks[4 * plane + 2 * (y % 2) + x % 2, y // 2, x // 2] = logits[0][plane, y, x]
+    expected = pyramid.filter_pyramid(*buffers, logits, OPTIONS, Strips(1))
+    for threads in (1, 3):
+        got = pyramid.filter_pyramid(*buffers, [blocks, *logits[1:]], OPTIONS, Strips(threads))
+        np.testing.assert_array_equal(got, expected)
+
+
 def test_threads_and_strips_do_not_change_the_picture():
     mean, sample, divisor, previous, logits = draw(150, 70)
     one = pyramid.filter_pyramid(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))

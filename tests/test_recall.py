@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from stillray import recall
+from stillray.models_spec import load
 from stillray.strips import Strips
+from tests import oracles
 
 
 def ramp(height, width):
@@ -48,3 +50,74 @@ def test_nothing_moves_nothing_changes():
     output = ramp(5, 7)
     past = recall.recall(output, np.zeros((5, 7, 2), np.float32), Strips(1))
     np.testing.assert_array_equal(past, output)
+
+
+def thirty_seconds(rng, shape, far):
+    """Motion in steps of 1/32 pixel, which cubic interpolation rounds to."""
+    return (rng.integers(-32 * far, 32 * far, (*shape, 2)) / 32).astype(np.float32)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_sharp_recall_equals_the_loop_oracle(rng, threads):
+    output = recall.remember(rng.lognormal(0, 3, (23, 18, 3)).astype(np.float32))
+    motion = thirty_seconds(rng, (23, 18), far=5)
+    past = recall.recall(output, motion, Strips(threads), sharp=True)
+    expected, brightest = oracles.sharp_recall(output, motion)
+    assert (expected[..., 3] == 1).mean() > 0.3
+    assert ((expected[..., 3] > 0) & (expected[..., 3] < 1)).any()
+    error = np.abs(past - expected).max(-1)
+    assert (error <= 2e-6 * np.maximum(brightest, 1)).all()
+
+
+def test_sharp_recall_invents_no_light(rng):
+    image = rng.lognormal(0, 2, (40, 33, 3)).astype(np.float32)
+    image[11, 7] = 1e30
+    image[25:, 20:] = 0
+    motion = (rng.random((40, 33, 2)) * 9 - 4.5).astype(np.float32)
+    past = recall.recall(recall.remember(image), motion, Strips(1), sharp=True)
+    assert np.isfinite(past).all()
+    assert past.min() >= 0
+    column, row = (np.arange(size, dtype=np.float32) for size in (33, 40))
+    x, y = column + motion[..., 0], row[:, None] + motion[..., 1]
+    inside = (x >= 0) & (x < 32) & (y >= 0) & (y < 39)
+    corners = [
+        image[
+            np.clip(np.floor(y).astype(int) + a, 0, 39), np.clip(np.floor(x).astype(int) + b, 0, 32)
+        ]
+        for a in (0, 1)
+        for b in (0, 1)
+    ]
+    assert (past[..., :3] <= np.max(corners, 0))[inside].all()
+    assert (past[..., :3] >= np.min(corners, 0))[inside].all()
+    np.testing.assert_array_equal(past[..., 3][inside], 1)
+
+
+def test_an_edge_that_moves_half_a_pixel_a_frame_stays_sharp():
+    widths = {}
+    for sharp in (False, True):
+        output = recall.remember(
+            np.where(np.arange(64) < 20, 0.0, 1.0)[None, :, None]
+            .repeat(8, 0)
+            .repeat(3, 2)
+            .astype(np.float32)
+        )
+        motion = np.full((8, 64, 2), (-0.5, 0), np.float32)
+        for _ in range(16):
+            output = recall.recall(output, motion, Strips(1), sharp=sharp).copy()
+        line = output[4, 10:, 0]
+        widths[sharp] = int(((line > 0.05) & (line < 0.95)).sum())
+    assert widths[True] <= widths[False] / 2
+
+
+def test_layers_are_recalled_as_the_beauty_was(rng):
+    spec = load("kpyr-5")
+    beauty = rng.lognormal(0, 2, (31, 22, 3)).astype(np.float32)
+    share = rng.random(beauty.shape).astype(np.float32)
+    parts = [beauty * share - 1, beauty * (1 - share) + 1]  # one of them has negative values
+    motion = (rng.random((31, 22, 2)) * 6 - 3).astype(np.float32)
+    whole = recall.remember(beauty)
+    follow = recall.recall_of_layers(whole, motion, spec, Strips(1))
+    added = sum(follow(recall.remember(part)).astype(np.float64)[..., :3] for part in parts)
+    expected = recall.recall(whole, motion, Strips(1), sharp=True)
+    valid = expected[..., 3] > 0.01  # below, light fades
+    np.testing.assert_allclose(added[valid], expected[..., :3][valid], rtol=1e-5, atol=2e-5)

@@ -124,7 +124,7 @@ def previous_outputs(sequence: Path, model: Path, strips: Strips) -> list[np.nda
             prepared = prepare(
                 frames[-1], denoiser.model.spec, denoiser.history, strips, {}, wants_sample=True
             )
-            previous = recalled(denoiser.history, prepared, strips, {})
+            previous = recalled(denoiser.history, prepared, denoiser.model.spec, strips, {})
             remembered.append(
                 np.zeros((*frames[-1].shape, 4), np.float32) if previous is None else previous
             )

@@ -14,7 +14,7 @@ from stillray.training.decoders.bilateral_grids import bilateral_grids
 from stillray.training.decoders.boxes import BoxMean
 from stillray.training.decoders.fused_kernels import fused_kernels
 from stillray.training.decoders.multires import multi_resolution_kernels
-from stillray.training.decoders.pyramid import kernel_pyramid, renewed, resolve
+from stillray.training.decoders.pyramid import kernel_pyramid, renewed, resolve, unfold
 from stillray.training.networks.guide import GuideNet
 from stillray.training.networks.importance import ImportanceNet
 from stillray.training.networks.pyramid import kernel_pyramid_net, multi_resolution_net
@@ -64,6 +64,7 @@ def _pyramid(
     logits: tuple[Tensor, ...], batch: Mapping[str, Tensor], spec: ModelSpec, box: BoxFilter
 ) -> Tensor:
     assert isinstance(spec.decoder, PyramidKernels)
+    logits = unfold(logits)
     light, samples = renewed(
         batch["irradiance"], batch["samples"], batch["new"], batch["worth"], logits[0], spec.decoder
     )

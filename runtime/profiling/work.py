@@ -109,12 +109,12 @@ def _pyramid(spec: ModelSpec) -> tuple[float, float]:
     from stillray.pyramid import level_logits
 
     assert isinstance(spec.decoder, PyramidKernels)
-    maps = len(spec.decoder.kernel_sizes)
     levels = FAMILIES[spec.family].multiple(spec).bit_length()
     operations, planes = 0.0, 3.0 + 3.0 + 4.0  # divisor, image, the previous output
     for level in range(levels):
         share = 0.25**level
         logits = level_logits(level, levels, spec.decoder)
+        maps = len(spec.decoder.kernel_sizes) if level or spec.decoder.finest_kernels else 0
         # kernels as above; itself and the coarser level; what is pooled and doubled
         kernels = maps * (1 + 3 + 4 * _WINDOW_SUM + 1 + 3 * 2 + 1)
         operations += share * (logits * _EXP + kernels + 3 * 4 + 4 * 2 + 3 * 8)

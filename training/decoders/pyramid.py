@@ -66,12 +66,21 @@ def kernel_pyramid(
                 result, scale_factor=2.0, mode="bilinear", align_corners=False
             )
         weights = (maps[level].importance.exp() * held[level]).split(1, 1)
-        for size, weight, share in zip(options.kernel_sizes, weights, others, strict=True):
+        # no shares where the finest level has no kernels
+        for size, weight, share in zip(options.kernel_sizes, weights, others, strict=False):
             sums, normal = box(torch.cat([weight * own, weight], 1), size).split((3, 1), 1)
             total = total + share * (sums / normal)
         result = total
     assert result is not None
     return result
+
+
+def unfold(logits: Sequence[Tensor]) -> tuple[Tensor, ...]:
+    """Logits with those of the finest level as one map, see `stillray.pyramid.unfold`."""
+    finest, *coarser = logits
+    if finest.shape[2:] == coarser[0].shape[2:]:
+        finest = F.pixel_shuffle(finest, 2)
+    return finest, *coarser
 
 
 class _Parts(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -22,7 +23,10 @@ class PyramidNet(nn.Module):
     """Features in, logits of every level out, finest first.
 
     A level is entered by a convolution of stride 2 and left by doubling pixels, which the
-    convolutions that follow smooth. Skips are added, or appended where the spec says so.
+    convolutions that follow smooth. Skips are added, or appended where the spec says so. A finest
+    level that works on blocks of 2x2 pixels is entered by such a convolution too, which sees the
+    neighbours of every pixel in the block, and gives the logits of those pixels, four planes for
+    one, and of the blocks.
 
     Parameters
     ----------
@@ -37,7 +41,7 @@ class PyramidNet(nn.Module):
 
     def __init__(self, network: PyramidNetwork, logits: Sequence[int]) -> None:
         super().__init__()
-        widths, levels = network.widths, len(network.widths)
+        widths, levels, block = network.widths, len(network.widths), network.block
 
         def blocks(width_in: int, width: int, count: int) -> nn.Sequential:
             return nn.Sequential(
@@ -56,10 +60,12 @@ class PyramidNet(nn.Module):
         def convolution(width_in: int, width: int, size: int, stride: int = 1) -> nn.Conv2d:
             return nn.Conv2d(width_in, width, size, stride=stride, padding=size // 2)
 
-        sources = (len(network.features), *widths[:-1])
+        size = network.kernel_size
+        first = nn.Conv2d(
+            len(network.features), widths[0], size + block - 1, stride=block, padding=size // 2
+        )
         self.enter = nn.ModuleList(
-            convolution(source, width, network.kernel_size, stride=1 if level == 0 else 2)
-            for level, (source, width) in enumerate(zip(sources, widths, strict=True))
+            [first, *(convolution(a, b, size, stride=2) for a, b in pairwise(widths))]
         )
         self.encode = nn.ModuleList(
             blocks(width, width, count)
@@ -76,14 +82,20 @@ class PyramidNet(nn.Module):
             )
             for level in range(levels - 1)
         )
+        if block == 1:
+            finest = [convolution(widths[0], logits[0], size)]
+        else:
+            finest = [convolution(widths[0], logits[0] * block**2, 1)]
+            finest.append(convolution(widths[0], logits[1], 1))
+        coarser = zip(widths[1:], logits[block:], strict=True)
         self.heads = nn.ModuleList(
-            convolution(width, planes, network.kernel_size if level == 0 else 1)
-            for level, (width, planes) in enumerate(zip(widths, logits, strict=True))
+            [*finest, *(convolution(width, planes, 1) for width, planes in coarser)]
         )
+        self.block = block
         self.concatenate = network.concatenate
 
     def forward(self, features_nchw: Tensor) -> tuple[Tensor, ...]:
-        """``(n, features, h, w)``, both sizes multiples of 2^(levels - 1), to one map a level."""
+        """``(n, features, h, w)`` to one map a resolution; sizes as `stillray.pyramid.multiple`."""
         skips = []
         for enter, encode in zip(self.enter, self.encode, strict=True):
             features_nchw = encode(F.relu(enter(features_nchw)))
@@ -95,7 +107,9 @@ class PyramidNet(nn.Module):
             skip = skips[level]
             joined = torch.cat([risen, skip], 1) if self.concatenate[level] else risen + skip
             planes = self.decode[level](joined)
-            logits.append(self.heads[level](planes))
+            logits.append(self.heads[level + self.block - 1](planes))
+        if self.block > 1:
+            logits.append(self.heads[0](planes))
         return tuple(reversed(logits))
 
 
@@ -104,14 +118,15 @@ def kernel_pyramid_net(spec: ModelSpec) -> PyramidNet:
     network, decoder = spec.network, spec.decoder
     assert isinstance(network, PyramidNetwork)
     assert isinstance(decoder, PyramidKernels)
-    levels = len(network.widths)
+    levels = network.resolutions
     made = PyramidNet(network, [level_logits(level, levels, decoder) for level in range(levels)])
     # start from an unresolved picture: even shares would blur it and hide what to learn
     finest = made.heads[0].bias
     assert isinstance(finest, Tensor)
     with torch.no_grad():
-        finest[level_layout(0, levels, decoder).resolve] = _UNRESOLVED
-        finest[level_layout(0, levels, decoder).renew] = _UNRENEWED
+        of_pixels = finest.view(-1, network.block**2)
+        of_pixels[level_layout(0, levels, decoder).resolve] = _UNRESOLVED
+        of_pixels[level_layout(0, levels, decoder).renew] = _UNRENEWED
     return made
 
 
@@ -120,5 +135,5 @@ def multi_resolution_net(spec: ModelSpec) -> PyramidNet:
     network, decoder = spec.network, spec.decoder
     assert isinstance(network, PyramidNetwork)
     assert isinstance(decoder, FusedKernels)
-    levels = len(network.widths)
+    levels = network.resolutions
     return PyramidNet(network, [level_planes(level, levels, decoder) for level in range(levels)])

@@ -83,7 +83,7 @@ def _network(spec: ModelSpec) -> nn.Module:
     network, decoder = spec.network, spec.decoder
     assert isinstance(network, PyramidNetwork)
     assert isinstance(decoder, FusedKernels)
-    weights, coarser = kernels_of(decoder).kernel_size ** 2, len(network.widths) - 1
+    weights, coarser = kernels_of(decoder).kernel_size ** 2, network.resolutions - 1
     return PyramidNet(network, [weights + 1] * coarser + [weights])
 
 
