@@ -98,7 +98,8 @@ def filter_layers(
         outputs = family.settle(prepared, outputs, spec, strips)
     follow: Callable[[np.ndarray], np.ndarray] | None = None
     if history is not None and history.output is not None and prepared.motion is not None:
-        follow = recall.recall_of_layers(history.output, prepared.motion, spec, strips)
+        motion = recall.motion_of_edges(prepared.motion, prepared.depth, strips)
+        follow = recall.recall_of_layers(history.output, motion, spec, strips)
     images, pasts = {}, {}
     for name, layer in layers.items():
         radiance = np.where(np.isfinite(layer), layer, np.float32(0))

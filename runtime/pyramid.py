@@ -76,31 +76,40 @@ def level_logits(level: int, levels: int, options: PyramidKernels) -> int:
     return level_layout(level, levels, options).renew.stop
 
 
-def unfold(logits: Sequence[np.ndarray], strips: Strips) -> list[np.ndarray]:
-    """Logits with those of the finest level as one map, where the network gave them by blocks.
+class Blocks:
+    """Logits of the finest level that the network gave by blocks, read as if they were one map.
 
     Parameters
     ----------
-    logits
-        One ``(planes, H, W)`` map a level, finest first. The finest may have four planes for each
-        of its own, of half the size: of the top left pixels of 2x2 blocks, the top right, the
-        bottom left, the bottom right. They are told by having the size of the next level.
+    blocks : (4 planes, H, W) float32
+        Four planes for each: of the top left pixels of 2x2 blocks, the top right, the bottom left,
+        the bottom right.
     strips
-        Where the work runs.
+        Where what is read lies, until the same planes are read again.
     """
-    finest, *coarser = logits
-    if not coarser or finest.shape[1:] != coarser[0].shape[1:]:
-        return list(logits)
-    planes, (height, width) = len(finest) // 4, finest.shape[1:]
-    whole = np.empty((planes, height, 2, width, 2), np.float32)
 
-    def work(rows: slice) -> None:
-        for plane, target in zip(finest.reshape(planes, 2, 2, height, width), whole, strict=True):
-            for pair, lines in zip(plane, target.transpose(1, 0, 2, 3), strict=True):
-                cv2.merge([pair[0, rows], pair[1, rows]], dst=lines[rows])
+    def __init__(self, blocks: np.ndarray, strips: Strips) -> None:
+        count, height, width = blocks.shape
+        self._blocks = blocks.reshape(count // 4, 2, 2, height, width)
+        self._strips = strips
+        self.shape = (count // 4, 2 * height, 2 * width)
 
-    strips.run(work, height, width)
-    return [whole.reshape(planes, 2 * height, 2 * width), *coarser]
+    def __getitem__(self, at: tuple[slice, slice]) -> np.ndarray:
+        """Planes and rows: ``(planes, rows, 2 W)``."""
+        part, rows = at
+        blocks = self._blocks[part, ..., rows.start // 2 : -(-rows.stop // 2), :]
+        count, _, _, height, width = blocks.shape
+        name = f"planes {part.start} to {part.stop}"
+        whole = self._strips.scratch.array(name, (count, height, 2, width, 2))
+        for line, column in np.ndindex(2, 2):
+            whole[:, :, line, :, column] = blocks[:, line, column]
+        first = rows.start % 2
+        return whole.reshape(count, 2 * height, 2 * width)[:, first : first + _length(rows)]
+
+
+def _length(rows: slice) -> int:
+    length: int = rows.stop - rows.start
+    return length
 
 
 def multiple(spec: ModelSpec) -> int:
@@ -184,8 +193,8 @@ def filter_pyramid(
         Radiance of the previous output at these pixels, and how much of it is valid, [0, 1].
     logits
         One ``(planes, H, W)`` map a level, finest first, of the frame's size rounded up to
-        `multiple`; any values. The finest may come by blocks, see `unfold`. The frame's last row
-        and column are repeated to that size.
+        `multiple`; any values. The frame's last row and column are repeated to that size. The
+        finest may come as `Blocks`, told by having the size of the next.
     options
         Kernel sizes and the bound of the logits.
     strips
@@ -197,7 +206,6 @@ def filter_pyramid(
         Radiance: for every pixel a convex combination of the irradiance around it, accumulated
         and new, times the divisors of its 3x3 neighbours, and of the previous output.
     """
-    logits = unfold(logits, strips)
     image = _filtered(mean, sample, divisor, previous, logits, options, strips)
     # A logit that is not a number says nothing: 0. It shows in the image, which is a fifth of the
     # logits to look through.
@@ -218,25 +226,26 @@ def _filtered(
 ) -> np.ndarray:
     height, width = mean.shape[:2]
     levels = len(logits)
-    bottom, right = (
-        full - size for full, size in zip(logits[0].shape[1:], mean.shape, strict=False)
-    )
+    maps: list[np.ndarray | Blocks] = list(logits)
+    if levels > 1 and logits[0].shape[1:] == logits[1].shape[1:]:
+        maps[0] = Blocks(logits[0], strips)
+    bottom, right = (full - size for full, size in zip(maps[0].shape[1:], mean.shape, strict=False))
     if bottom or right:
         border = (0, bottom, 0, right, cv2.BORDER_REPLICATE)
         sample = None if sample is None else cv2.copyMakeBorder(sample, *border)
         mean = cv2.copyMakeBorder(mean, *border)
     finest = level_layout(0, levels, options)
-    pyramid = [_renewed(mean, sample, logits[0][finest.renew][0], options, strips)]
+    pyramid = [_renewed(mean, sample, maps[0], finest.renew, options, strips)]
     for level in range(levels - 1):
-        pool = logits[level][level_layout(level, levels, options).pool][0]
-        pyramid.append(_pool(pyramid[-1], pool, options, strips))
+        pool = level_layout(level, levels, options).pool
+        pyramid.append(_pool(pyramid[-1], maps[level], pool, options, strips))
     coarser: np.ndarray | None = None
     for level in reversed(range(1, levels)):
         coarser = _double(
             _blended(
                 pyramid[level],
                 coarser,
-                logits[level],
+                maps[level],
                 level_layout(level, levels, options),
                 options,
                 strips,
@@ -255,7 +264,7 @@ def _filtered(
             around,
             pyramid[0],
             coarser,
-            logits[0],
+            maps[0],
             finest,
             options,
             padded[:, filled, 1:-1],
@@ -271,8 +280,8 @@ def _filtered(
         if rows.stop == height:
             padded[:, -1] = padded[:, -2]
         past = None if previous is None else previous[rows]
-        maps = logits[0][finest.resolve, rows, :width]
-        _resolve(padded, maps, past, options, image[rows], strips.scratch)
+        resolve = maps[0][finest.resolve, rows][..., :width]
+        _resolve(padded, resolve, past, options, image[rows], strips.scratch)
 
     strips.run(finish, height, width)
     return image
@@ -281,7 +290,8 @@ def _filtered(
 def _renewed(
     mean: np.ndarray,
     sample: np.ndarray | None,
-    renew: np.ndarray,
+    logits: np.ndarray | Blocks,
+    renew: slice,
     options: PyramidKernels,
     strips: Strips,
 ) -> np.ndarray:
@@ -299,7 +309,7 @@ def _renewed(
         if sample is not None:
             new = planes_of(sample[rows], out=scratch.array("new", (4, *shape)))
             more, total = scratch.array("more", shape), scratch.array("total", shape)
-            bounded_exp(renew[rows], options.logit_bound, more)
+            bounded_exp(logits[renew, rows][0], options.logit_bound, more)
             held = np.add(more, 1, out=scratch.array("held", shape))
             more *= new[3]
             np.add(part[3], more, out=total)
@@ -318,7 +328,11 @@ def _renewed(
 
 
 def _pool(
-    fine: np.ndarray, pool: np.ndarray, options: PyramidKernels, strips: Strips
+    fine: np.ndarray,
+    logits: np.ndarray | Blocks,
+    pool: slice,
+    options: PyramidKernels,
+    strips: Strips,
 ) -> np.ndarray:
     """The next coarser level of ``(4, h, w)`` light and samples: weighted means of 2x2 blocks."""
     height, width = (size // 2 for size in fine.shape[1:])
@@ -329,7 +343,7 @@ def _pool(
         source = slice(2 * rows.start, 2 * rows.stop)
         shape = (source.stop - source.start, 2 * width)
         weight, product = scratch.array("weight", shape), scratch.array("product", shape)
-        bounded_exp(pool[source], options.logit_bound, weight)
+        bounded_exp(logits[pool, source][0], options.logit_bound, weight)
         total = halve(weight)
         weight *= fine[3, source]
         held = halve(weight)
@@ -346,7 +360,7 @@ def _pool(
 def _blended(
     planes: np.ndarray,
     coarser: np.ndarray | None,
-    logits: np.ndarray,
+    logits: np.ndarray | Blocks,
     layout: LevelLayout,
     options: PyramidKernels,
     strips: Strips,
@@ -365,7 +379,7 @@ def _blend(
     rows: slice,
     planes: np.ndarray,
     coarser: np.ndarray | None,
-    logits: np.ndarray,
+    logits: np.ndarray | Blocks,
     layout: LevelLayout,
     options: PyramidKernels,
     out: np.ndarray,
@@ -412,7 +426,8 @@ def _blend(
         near, inner = with_halo(rows, size // 2, height)
         strip = (near.stop - near.start, width)
         weight, product, box = (scratch.array(name, strip) for name in ("weight", "product", "box"))
-        bounded_exp(logits[layout.importance][index, near], options.logit_bound, weight)
+        importance = slice(index, index + 1)
+        bounded_exp(logits[importance, near][0], options.logit_bound, weight)
         weight *= planes[3, near]
         share /= _box(weight, size, box)[inner]
         for plane, sums in zip(planes, out, strict=False):

@@ -76,7 +76,7 @@ def kernel_pyramid(
 
 
 def unfold(logits: Sequence[Tensor]) -> tuple[Tensor, ...]:
-    """Logits with those of the finest level as one map, see `stillray.pyramid.unfold`."""
+    """Logits with those of the finest level as one map, see `stillray.pyramid.Blocks`."""
     finest, *coarser = logits
     if finest.shape[2:] == coarser[0].shape[2:]:
         finest = F.pixel_shuffle(finest, 2)
