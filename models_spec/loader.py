@@ -80,6 +80,9 @@ class Temporal:
     outlier_ratio: float
     normal_cosine: float  # a tap is accepted when its normal agrees at least so much, [-1, 1]
     depth_ratio: float  # and its depth differs at most by this share, > 0
+    # samples that the albedo's past is worth at most, where the result is multiplied by it, >= 0;
+    # 0: by this frame's alone
+    albedo_samples: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,6 +268,7 @@ class ModelSpec:
         _within("temporal.max_samples", self.temporal.max_samples, 1, 1e6)
         _within("temporal.outlier_ratio", self.temporal.outlier_ratio, 1e-3, 1e9)
         _within("temporal.normal_cosine", self.temporal.normal_cosine, -1, 1)
+        _within("temporal.albedo_samples", self.temporal.albedo_samples, 0, 1e6)
         _within("temporal.depth_ratio", self.temporal.depth_ratio, 1e-6, 1e6)
 
     def to_json(self) -> str:

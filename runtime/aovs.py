@@ -24,6 +24,7 @@ from stillray.models_spec.loader import ModelSpec
 from stillray.prepare import History, LayerPast, Prepared, rough_blocks
 from stillray.repair import fill, repair_radiance
 from stillray.scratch import Scratch
+from stillray.silhouettes import motion_of_edges
 from stillray.strips import Strips, interleave, planes_of
 
 _ROUNDING = 1e-5  # relative: what a factor may differ from 1 by rounding alone
@@ -98,7 +99,7 @@ def filter_layers(
         outputs = family.settle(prepared, outputs, spec, strips)
     follow: Callable[[np.ndarray], np.ndarray] | None = None
     if history is not None and history.output is not None and prepared.motion is not None:
-        motion = recall.motion_of_edges(prepared.motion, prepared.depth, strips)
+        motion = motion_of_edges(prepared.motion, prepared.depth, strips)
         follow = recall.recall_of_layers(history.output, motion, spec, strips)
     images, pasts = {}, {}
     for name, layer in layers.items():
@@ -120,7 +121,7 @@ def filter_layers(
             prepared,
             history=replace(prepared.history, mean=mean),
             sample=None if accumulated is None else sample,
-            divisor=divisor,
+            modulator=None if name in irradiance else prepared.modulator,
         )
         images[name] = image = family.reconstruct(own, previous, outputs, spec, strips, {})
         if temporal:

@@ -283,7 +283,7 @@ class Denoiser:
             )
             encode.previous_planes(
                 None if previous is None else previous[rows],
-                None if prepared.divisor is None else prepared.divisor[rows],
+                None if prepared.modulator is None else prepared.modulator[rows],
                 prepared.history.exposure,
                 spec.network.features,
                 out=planes,

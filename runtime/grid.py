@@ -74,7 +74,7 @@ def reconstruct(
     (maps,) = outputs
     with timed(timings, "reconstruct"):
         image = filter_grids(prepared.history.mean, maps, spec.decoder, strips)
-    if (by := prepared.divisor) is not None:
+    if (by := prepared.modulator) is not None:
 
         def modulate(rows: slice) -> None:
             image[rows] *= by[rows]

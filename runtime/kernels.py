@@ -30,7 +30,7 @@ def reconstruct(
     options = spec.decoder
     assert isinstance(options, FusedKernels)
     (logits,) = outputs
-    mean, by = prepared.history.mean, prepared.divisor
+    mean, by = prepared.history.mean, prepared.modulator
     height, width = mean.shape[:2]
     image = np.empty((height, width, 3), np.float32)
     halo = reach(spec)

@@ -129,7 +129,7 @@ def _reconstructed(
     logits = outputs[:levels]
     settled = [*outputs[levels:], None] if len(outputs) > levels else [None] * levels
     height, width = prepared.history.mean.shape[:2]
-    image, by = np.empty((height, width, 3), np.float32), prepared.divisor
+    image, by = np.empty((height, width, 3), np.float32), prepared.modulator
     coarser: np.ndarray | None = None
     with timed(timings, "reconstruct"):
         means = _resolutions(prepared.history.mean, logits, options, strips)

@@ -9,13 +9,14 @@ import cv2
 import numpy as np
 
 from stillray import accumulate as acc
-from stillray import encode, mirror
+from stillray import antialias, encode, mirror
 from stillray import reproject as rep
 from stillray.demodulate import divisor
 from stillray.frame import Frame
 from stillray.models_spec.loader import ModelSpec
 from stillray.repair import Buffers
 from stillray.scratch import Scratch
+from stillray.silhouettes import motion_of_edges
 from stillray.strips import Strips, interleave, planes_of, with_halo
 from stillray.timing import timed, timed_pass
 
@@ -50,6 +51,8 @@ class History:
         1 / irradiance, steadied over the sequence.
     output : (h, w, 4) float32 or None
         The last output, see `stillray.recall.remember`; None for models that take none.
+    divisor : (h, w, 4) float32 or None
+        See `stillray.antialias`; None for models that use this frame's alone.
     layers
         By name, the past of layers that are filtered as the beauty is.
     """
@@ -58,6 +61,7 @@ class History:
     guides: np.ndarray | None
     exposure: float
     output: np.ndarray | None = None
+    divisor: np.ndarray | None = None
     layers: Mapping[str, LayerPast] = field(default_factory=dict)
 
 
@@ -76,6 +80,8 @@ class Prepared:
         Luminance of this frame's irradiance.
     divisor : (h, w, 3) float32 or None
         What radiance was divided by; None where there is no albedo.
+    modulator : (h, w, 3) float32 or None
+        What the result is multiplied by: ``divisor``, or its mean over frames.
     local : (h, w) float32
         Tone-mapped local luminance of the accumulated irradiance.
     albedo, normal, depth
@@ -90,6 +96,7 @@ class Prepared:
     sample: np.ndarray | None
     luminance: np.ndarray
     divisor: np.ndarray | None
+    modulator: np.ndarray | None
     local: np.ndarray
     albedo: np.ndarray | None
     normal: np.ndarray | None
@@ -148,9 +155,10 @@ def prepare(
             buffers = buffers.repaired()
         _demodulate(buffers, divide_by, luminance, spec, strips, timings)
     with timed(timings, "expose"):
-        before = None if history is None else history.exposure
         exposure = encode.steady_exposure(
-            encode.frame_exposure(luminance, spec.transfer), before, spec.transfer
+            encode.frame_exposure(luminance, spec.transfer),
+            None if history is None else history.exposure,
+            spec.transfer,
         )
         _local_luminance(luminance, exposure, local, spec, strips)
         depth_unit = 1.0 if buffers.depth is None else encode.depth_scale(buffers.depth)
@@ -233,11 +241,26 @@ def prepare(
     if moves:
         with timed(timings, "accumulate"):
             _local_luminance(accumulated, exposure, local, spec, strips)
+    modulator, remembered = divide_by, None
+    if temporal and divide_by is not None and spec.temporal.albedo_samples > 0:
+        before = None if history is None or buffers.motion is None else history.divisor
+        remembered = None if spare is None else spare.divisor
+        remembered = np.empty((*shape, 4), np.float32) if remembered is None else remembered
+        if before is None or buffers.motion is None:
+            antialias.begin(divide_by, remembered)
+        else:
+            with timed(timings, "antialias"):
+                motion = motion_of_edges(buffers.motion, buffers.depth, strips)
+                modulator = kept.array("modulator", divide_by.shape)
+                antialias.accumulate(
+                    divide_by, before, motion, spec.temporal, remembered, modulator, strips
+                )
     return Prepared(
-        history=History(mean=mean, guides=guides, exposure=exposure),
+        history=History(mean=mean, guides=guides, exposure=exposure, divisor=remembered),
         sample=sample,
         luminance=luminance,
         divisor=divide_by,
+        modulator=modulator,
         local=local,
         albedo=buffers.albedo,
         normal=buffers.normal,

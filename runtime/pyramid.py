@@ -162,7 +162,7 @@ def reconstruct(
         return filter_pyramid(
             prepared.history.mean,
             prepared.sample,
-            prepared.divisor,
+            prepared.modulator,
             previous,
             outputs,
             spec.decoder,

@@ -56,6 +56,10 @@ def plan(frame: Frame, spec: ModelSpec, *, has_history: bool, temporal: bool) ->
     if past and frame.depth is not None and frame.albedo is not None:
         follows = has_mirrors(frame.albedo, spec.demodulate.black)
         why_mirror = f"{'some' if follows else 'no'} surfaces are black, as mirrors and glass are"
+    smooth = spec.temporal.albedo_samples > 0
+    why_antialias = "the model smooths edges otherwise" if not smooth else why
+    if smooth and past:
+        why_antialias = "albedo is given" if albedo else "no albedo given"
     why_modulate = "albedo is given" if albedo else "no albedo given"
     if albedo and family.recalls:
         why_modulate = "the reconstruction does it, before it resolves"
@@ -75,6 +79,7 @@ def plan(frame: Frame, spec: ModelSpec, *, has_history: bool, temporal: bool) ->
             why if not past else "motion is given" if moving else "motion is zero everywhere",
         ),
         Stage("accumulate", past, why),
+        Stage("antialias", smooth and past and albedo, why_antialias),
         Stage(
             "recall",
             past and family.recalls,

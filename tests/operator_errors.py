@@ -11,7 +11,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stillray import accumulate, demodulate, encode, kernels, pyramid, recall, repair, reproject
+from stillray import (
+    accumulate,
+    antialias,
+    demodulate,
+    encode,
+    kernels,
+    pyramid,
+    recall,
+    repair,
+    reproject,
+)
 from stillray.models_spec import load
 from stillray.models_spec.loader import FusedKernels, PyramidKernels
 from stillray.strips import Strips
@@ -213,6 +223,16 @@ def _recall(given: Inputs) -> float:
     return _relative(got, wanted)
 
 
+def _antialias(given: Inputs) -> float:
+    by = demodulate.divisor(given["albedo"], SPEC.demodulate)
+    past = np.dstack([demodulate.divisor(given["before"], SPEC.demodulate), given["held"]])
+    motion = np.round(given["at"] * 32) / np.float32(32)  # what it rounds to itself
+    got, picture = np.empty_like(past), np.empty_like(by)
+    antialias.accumulate(by, past, motion, SPEC.temporal, got, picture, _STRIPS)
+    wanted = oracles.antialiased(by, past, motion, SPEC.temporal.albedo_samples)
+    return _relative(got, wanted)
+
+
 def _sharp_recall(given: Inputs) -> float:
     output = recall.remember(given["past"])
     motion = np.round(given["at"] * 32) / np.float32(32)  # what it rounds to itself
@@ -344,6 +364,13 @@ OPERATORS = [
     Operator(
         name="recall", error=_recall, limit=2e-5,
         ranges={"past": _radiance(_H, _W, 3), "at": ((_H, _W, 2), -4, 4, False)},
+    ),
+    Operator(
+        name="antialias", error=_antialias, limit=2e-5,
+        ranges={
+            "albedo": ((_H, _W, 3), 1e-5, 1, True), "before": ((_H, _W, 3), 1e-5, 1, True),
+            "held": ((_H, _W), 1, 9, False), "at": ((_H, _W, 2), -4, 4, False),
+        },
     ),
     Operator(
         name="sharp recall", error=_sharp_recall, limit=2e-5, unit="the brightest of 4x4",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -76,20 +77,44 @@ def reproject(
     return result
 
 
+def cubic_weight(distance: float) -> float:
+    """Cubic convolution (Keys 1981, eq. 4, with OpenCV's a = -0.75)."""
+    d, a = abs(distance), -0.75
+    if d <= 1:
+        return (a + 2) * d**3 - (a + 3) * d**2 + 1
+    return a * (d**3 - 5 * d**2 + 8 * d - 4) if d < 2 else 0.0
+
+
+def antialiased(
+    divisor: np.ndarray, past: np.ndarray, motion: np.ndarray, most_samples: float
+) -> np.ndarray:
+    """What `stillray.antialias.accumulate` remembers, pixel by pixel."""
+    height, width = divisor.shape[:2]
+    result = np.zeros((height, width, 4))
+    for y, x in np.ndindex(height, width):
+        at_x, at_y = x + float(motion[y, x, 0]), y + float(motion[y, x, 1])
+        left, top = int(np.floor(at_x)), int(np.floor(at_y))
+        brought = np.zeros(4)
+        for ty, tx in itertools.product(range(top - 1, top + 3), range(left - 1, left + 3)):
+            if 0 <= ty < height and 0 <= tx < width:
+                weight = cubic_weight(at_y - ty) * cubic_weight(at_x - tx)
+                brought += weight * past[ty, tx].astype(np.float64)
+        around = divisor[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].reshape(-1, 3)
+        mean = np.clip(brought[:3], around.min(0), around.max(0))
+        held = np.clip(brought[3], 0, most_samples)
+        result[y, x, :3] = (held * mean + divisor[y, x]) / (held + 1)
+        result[y, x, 3] = held + 1
+    return result
+
+
 def sharp_recall(output: np.ndarray, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`stillray.recall.recall`, sharp, pixel by pixel; and the brightest of the pixels it meets.
 
-    Cubic convolution (Keys 1981, eq. 4, with OpenCV's a = -0.75), limited to the range of the four
-    pixels around; the mean of those in the frame where they are not all.
+    Cubic convolution, limited to the range of the four pixels around; the mean of those in the
+    frame where they are not all.
     """
     (height, width), values = output.shape[:2], output.astype(np.float64)
     result, brightest = np.zeros(values.shape), np.zeros((height, width))
-
-    def weight(distance: float) -> float:
-        d, a = abs(distance), -0.75
-        if d <= 1:
-            return (a + 2) * d**3 - (a + 3) * d**2 + 1
-        return a * (d**3 - 5 * d**2 + 8 * d - 4) if d < 2 else 0.0
 
     for y, x in np.ndindex(height, width):
         at_x, at_y = x + float(motion[y, x, 0]), y + float(motion[y, x, 1])
@@ -101,7 +126,7 @@ def sharp_recall(output: np.ndarray, motion: np.ndarray) -> tuple[np.ndarray, np
             for ty in range(top - 1, top + 3):
                 for tx in range(left - 1, left + 3):
                     near = values[min(max(ty, 0), height - 1), min(max(tx, 0), width - 1)]
-                    result[y, x] += weight(at_y - ty) * weight(at_x - tx) * near
+                    result[y, x] += cubic_weight(at_y - ty) * cubic_weight(at_x - tx) * near
                     brightest[y, x] = max(brightest[y, x], near[:3].max())
             result[y, x] = np.clip(result[y, x], around.min(0), around.max(0))
             continue

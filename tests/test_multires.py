@@ -43,7 +43,7 @@ def _prepared(mean, divisor=None):
     nothing = np.empty(0)
     return Prepared(
         history=History(mean=mean, guides=None, exposure=1.0),
-        sample=None, luminance=nothing, divisor=divisor, local=nothing,
+        sample=None, luminance=nothing, divisor=None, modulator=divisor, local=nothing,
         albedo=None, normal=None, depth=None, depth_unit=1.0, motion=None,
     )  # fmt: skip
 

@@ -82,7 +82,7 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Examp
             prepared = prepare(frame, spec, history, strips, {}, wants_sample=True)
             history = prepared.history
         assert history is not None
-        assert prepared.divisor is not None
+        assert prepared.modulator is not None
         assert prepared.albedo is not None
         assert prepared.normal is not None
         assert prepared.depth is not None
@@ -92,7 +92,7 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Examp
                 mean=history.mean,
                 sample=history.mean if prepared.sample is None else prepared.sample,
                 exposure=history.exposure,
-                divisor=shared.divisor if shared else prepared.divisor,
+                divisor=prepared.modulator,
                 albedo=shared.albedo if shared else prepared.albedo,
                 normal=shared.normal if shared else prepared.normal,
                 depth=shared.depth if shared else prepared.depth,

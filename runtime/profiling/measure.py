@@ -25,8 +25,8 @@ from stillray.registry import ModelInfo
 TOTAL, REST = "total", "rest"
 #: The stages in the order of a frame's way, files included.
 ORDER = (
-    "read", "repair", "demodulate", "expose", "mirror", "warp", "guides", "accumulate", "recall",
-    "encode", "network", "reconstruct", "modulate", REST, "write",
+    "read", "repair", "demodulate", "expose", "mirror", "warp", "guides", "accumulate",
+    "antialias", "recall", "encode", "network", "reconstruct", "modulate", REST, "write",
 )  # fmt: skip
 _SETTLING = 2  # frames that still allocate: two histories change places
 _LEAST_FRAMES = 3

@@ -165,7 +165,9 @@ COMPARISONS = (
 def _base() -> ModelSpec:
     spec = _with(load(BASE), BASE)
     training = dataclasses.replace(spec.training, steps=_STEPS, batch=_BATCH, patch=_PATCH)
-    return dataclasses.replace(spec, training=training)
+    # as in the papers: multiplied by the frame's own albedo
+    temporal = dataclasses.replace(spec.temporal, albedo_samples=0.0)
+    return dataclasses.replace(spec, training=training, temporal=temporal)
 
 
 def _with(

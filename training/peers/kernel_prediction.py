@@ -238,9 +238,9 @@ def reconstruct(
 
     with timed(timings, "reconstruct"):
         strips.run(work, height, width)
-    if prepared.divisor is not None:
+    if prepared.modulator is not None:
         with timed(timings, "modulate"):
-            image *= prepared.divisor
+            image *= prepared.modulator
     return image
 
 

@@ -139,6 +139,7 @@ def bring(
         outlier_ratio=1,
         normal_cosine=options.normal_cosine,
         depth_ratio=options.depth_ratio,
+        albedo_samples=0,  # nor here
     )
     rows = slice(0, height)
     positions = reproject.positions_of(now.motion, rows) if now.motion.any() else None

@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import stillray
+from stillray import antialias
+from stillray.frame import Frame
+from stillray.models_spec import load
+from stillray.strips import Strips
+from tests import oracles
+
+OPTIONS = load("wskp-3").temporal
+
+
+def accumulate(divisor, past, motion, threads=1):
+    remembered, modulator = np.empty_like(past), np.empty_like(divisor)
+    antialias.accumulate(divisor, past, motion, OPTIONS, remembered, modulator, Strips(threads))
+    np.testing.assert_array_equal(modulator, remembered[..., :3])
+    return remembered
+
+
+def draw(rng, height, width):
+    divisor = rng.uniform(0.1, 1, (height, width, 3)).astype(np.float32)
+    past = rng.uniform(0.1, 1, (height, width, 4)).astype(np.float32)
+    past[..., 3] = rng.integers(1, 10, (height, width))
+    return divisor, past
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (3, 5), (23, 18)])
+@pytest.mark.parametrize("moves", [True, False])
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_mean_equals_the_loop_oracle(rng, height, width, moves, threads):
+    divisor, past = draw(rng, height, width)
+    # steps of 1/32 pixel, which cubic interpolation rounds to
+    motion = (moves * rng.integers(-160, 160, (height, width, 2)) / 32).astype(np.float32)
+    got = accumulate(divisor, past, motion, threads)
+    expected = oracles.antialiased(divisor, past, motion, OPTIONS.albedo_samples)
+    np.testing.assert_allclose(got, expected, rtol=2e-6, atol=2e-6)
+
+
+def test_the_mean_stays_in_the_range_of_the_pixels_around(rng):
+    divisor, past = draw(rng, 40, 33)
+    past[..., :3] *= 100
+    motion = (rng.random((40, 33, 2)) * 9 - 4.5).astype(np.float32)
+    got = accumulate(divisor, past, motion)
+    padded = np.pad(divisor, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    around = [padded[a : a + 40, b : b + 33] for a in range(3) for b in range(3)]
+    assert (got[..., :3] >= np.min(around, 0) - 1e-6).all()
+    assert (got[..., :3] <= np.max(around, 0) + 1e-6).all()
+
+
+def test_what_comes_from_outside_is_this_frame_s_alone(rng):
+    divisor, past = draw(rng, 9, 14)
+    got = accumulate(divisor, past, np.full((9, 14, 2), 1e6, np.float32))
+    np.testing.assert_array_equal(got[..., :3], divisor)
+    np.testing.assert_array_equal(got[..., 3], 1)
+
+
+def test_an_albedo_that_stays_is_what_it_was_to_the_bit(rng):
+    divisor, _ = draw(rng, 9, 14)
+    remembered = np.empty((9, 14, 4), np.float32)
+    antialias.begin(divisor, remembered)
+    for _ in range(20):
+        remembered = accumulate(divisor, remembered, np.zeros((9, 14, 2), np.float32))
+    np.testing.assert_array_equal(remembered[..., :3], divisor)
+    np.testing.assert_allclose(remembered[..., 3], OPTIONS.albedo_samples + 1)
+
+
+def covered(slope, shift):
+    """An edge that leans, sampled at one point of each pixel: albedo 0.9 beyond it, else 0.2."""
+    row, column = np.mgrid[0:33, 0:46]
+    beyond = column + shift[0] > 20 + slope * (row + shift[1])
+    return np.where(beyond, 0.9, 0.2)
+
+
+def test_stairs_of_an_edge_are_smoothed_by_jittered_frames():
+    # the light is the same everywhere: all that a picture shows is the albedo
+    spec = load("wskp-3")
+    assert spec.temporal.albedo_samples > 0
+    shifts = [((i * 0.618 + 0.3) % 1, (i * 0.414 + 0.7) % 1) for i in range(9)]
+    fine = [(a / 16, b / 16) for a in range(16) for b in range(16)]
+    wanted = np.mean([covered(0.4, shift) for shift in fine], axis=0)
+    alone = covered(0.4, shifts[-1])
+    depth = np.full(wanted.shape, 2, np.float32)
+    with stillray.Denoiser("wskp-3") as denoiser:
+        for shift in shifts:
+            albedo = np.repeat(covered(0.4, shift)[..., None], 3, 2).astype(np.float32)
+            motion = np.zeros((*wanted.shape, 2), np.float32)
+            frame = Frame(color=albedo * 0.5, albedo=albedo, depth=depth, motion=motion)
+            image = denoiser.denoise(frame)
+    error = np.abs(image[..., 0] / 0.5 - wanted).mean()
+    assert error < 0.4 * np.abs(alone - wanted).mean()
+
+
+def test_without_motion_or_albedo_or_a_past_it_is_not_run(rng):
+    albedo = rng.random((9, 14, 3)).astype(np.float32)
+    motion = np.zeros((9, 14, 2), np.float32)
+    whole = Frame(color=albedo, albedo=albedo, motion=motion)
+    for temporal, frame, runs in (
+        (True, whole, True),
+        (False, whole, False),
+        (True, dataclasses.replace(whole, motion=None), False),
+        (True, dataclasses.replace(whole, albedo=None), False),
+    ):
+        with stillray.Denoiser("wskp-3", temporal=temporal) as denoiser:
+            denoiser.denoise(frame)
+            assert "antialias" not in denoiser.last_timings
+            planned = {stage.name: stage.runs for stage in denoiser.stages(frame)}
+            denoiser.denoise(frame)
+            assert ("antialias" in denoiser.last_timings) == planned["antialias"] == runs
