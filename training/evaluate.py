@@ -41,12 +41,13 @@ Written by `python -m stillray.training.evaluate VALIDATION --report docs/result
 each sequence, 640x360, 1 sample per pixel; six frames are accumulated where a method remembers
 them, and "one frame" says where not. PSNR, SSIM and FLIP after exposure to a median of 0.2 and a
 power of 1 / 2.2, SMAPE and relative MSE of exposed radiance. No model was trained on these scenes;
-the weights of accumulation, the albedo floor of the specs and what is looked at in mirrors were
-chosen on them, and the training of kpyr-5 and kpyr-5s was watched on them, so read these figures as
-validation, not as a test. SVGF
+the weights of accumulation, the albedo floor of the specs, what is looked at in mirrors and how the
+past is interpolated were chosen on them, and the training of the kpyr models was watched on them,
+so read these figures as validation, not as a test. SVGF
 (Schied et al. 2017) and BMFR (Koskela et al. 2019) are our own implementations in `training/peers`,
-with published parameters, which remember frames too; both end with temporal antialiasing (TAA),
-which the models of ours but kpyr lack, so SVGF is there without it as well. OIDN is Open Image
+with published parameters, which remember frames too; both end with temporal antialiasing (TAA) of
+the picture, so SVGF is there without it as well; of ours, the kpyr models resolve with their last
+output, and all but kpyr-5s accumulate the albedo. OIDN is Open Image
 Denoise with albedo and normal, fed the raw frame, or the frame as accumulated for our kernels.
 Flicker is the mean absolute error of the tone-mapped difference between the last two frames.
 FovVideoVDP (Mantiuk et al. 2021) sees the same two frames, at 30 frames a second after a still of

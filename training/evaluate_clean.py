@@ -25,7 +25,7 @@ from stillray.training.evaluate import (
 )
 
 _FOR_CLEAN = ("nbg-7x3",)  # models that were trained on 64 samples a pixel
-_OTHERS = ("nbg-2x3", "wskp-6", "kpyr-5")
+_OTHERS = ("nbg-2x3", "wskp-mr", "wskp-6", "kpyr-5")
 _PEERS = ("oidn-high",)
 
 

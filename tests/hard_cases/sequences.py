@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 import stillray
+from stillray.frame import Frame
 from tests.conftest import clean_color, make_frame
 from tests.hard_cases.case import (
     HEIGHT,
@@ -15,6 +16,7 @@ from tests.hard_cases.case import (
     accumulated,
     case,
     changed,
+    clean,
     noisy,
     run,
     truth,
@@ -114,6 +116,29 @@ def cut_without_reset(denoiser: stillray.Denoiser) -> float:
         for frame in noisy(4, first=50)
     ]  # fmt: skip
     return _unlike_fresh(denoiser, noisy(12), after)
+
+
+@case(
+    "a checked texture whose squares change places, no noise",
+    "frames until the picture is within 10 % of one without the past",
+    12,
+)
+def texture_that_changes(denoiser: stillray.Denoiser) -> float:
+    row, column = np.mgrid[0:HEIGHT, 0:WIDTH]
+    odd = ((row // 6 + column // 6) % 2 == 1)[..., None]
+    light = truth() / make_frame(HEIGHT, WIDTH).albedo
+
+    def painted(one: float, other: float, count: int) -> list[Frame]:
+        albedo = np.where(odd, one, other) * np.ones(3)
+        return [changed(frame, color=light * albedo, albedo=albedo) for frame in clean(count)]
+
+    fresh = run(denoiser, painted(0.8, 0.2, 1))[0]
+    run(denoiser, painted(0.2, 0.8, 12))
+    last = 0
+    for index, frame in enumerate(painted(0.8, 0.2, 50), start=1):
+        if np.abs(denoiser.denoise(frame) - fresh).mean() > 0.1 * fresh.mean():
+            last = index
+    return float(last + 1)
 
 
 def _frames_to_follow(denoiser: stillray.Denoiser, before: float, after: float) -> float:
