@@ -258,6 +258,8 @@ class ModelSpec:
         _one_of("family", self.family, FAMILIES)
         for name in self.inputs.required + self.inputs.optional:
             _one_of("inputs", name, BUFFERS)
+        if isinstance(self.network, PyramidNetwork) and isinstance(self.decoder, FusedKernels):
+            _within("network.block", self.network.block, 1, 1)
         for name in self.network.features:
             _one_of("network.features", name, FEATURES)
         _odd((self.transfer.local_size,))

@@ -6,6 +6,10 @@ point, so the mean of a few is the pixel's. No noise of light is in it, and no g
 where surfaces meet, the mean of theirs is what is wanted. What no longer belongs there is limited
 to the range of the 3x3 pixels around, as temporal antialiasing does it (Karis 2014, *High Quality
 Temporal Supersampling*).
+
+Where an albedo says nothing (sky, lights, mirrors), light was divided by 1, which is no albedo to
+be averaged with one. Beside such pixels a picture is multiplied by no more than it was divided by:
+dark leaves before a sky would have bright rims.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ from stillray.reproject import positions_of
 from stillray.strips import Strips, with_halo
 
 _AROUND = np.ones((3, 3), np.uint8)
+_ONES, _ABOVE = (1.0, 1.0, 1.0), (2.0, 2.0, 2.0)
 
 
 def begin(divisor: np.ndarray, remembered: np.ndarray) -> None:
@@ -57,7 +62,8 @@ def accumulate(
     remembered : (h, w, 4) float32
         Written: the mean and, last, the samples that it holds.
     modulator : (h, w, 3) float32
-        Written: the mean, in the range of the divisor's 3x3 pixels around.
+        Written: the mean, in the range of the divisor's 3x3 pixels around; where some of those have
+        no albedo and some have, the divisor at most.
     strips
         Where the work runs.
     """
@@ -77,12 +83,15 @@ def accumulate(
             positions = scratch.array("positions", motion[rows].shape)
             positions_of(motion[rows], rows, positions)
             # a mean of four, frame after frame, would wash textures out
-            border = cv2.BORDER_CONSTANT
-            cv2.remap(past, positions, None, cv2.INTER_CUBIC, mean, border, 0)
+            cv2.remap(past, positions, None, cv2.INTER_CUBIC, mean, cv2.BORDER_REPLICATE)
         else:
             np.copyto(mean, past[rows])
         held = cv2.extractChannel(mean, 3, dst=scratch.array("held", mean.shape[:2]))
         np.clip(held, 0, options.albedo_samples, out=held)
+        if moves:
+            seen = cv2.inRange(positions, (0, 0), (width - 1, height - 1))
+            if cv2.countNonZero(seen) < seen.size:
+                held[seen == 0] = 0
         cv2.max(mean, least[inner], dst=mean)
         cv2.min(mean, most[inner], dst=mean)
         share = held / (held + 1)
@@ -92,5 +101,10 @@ def accumulate(
         held += 1
         cv2.insertChannel(held, mean, 3)
         cv2.cvtColor(mean, cv2.COLOR_RGBA2RGB, dst=modulator[rows])
+        none = cv2.inRange(divisor[around], _ONES, _ABOVE)
+        if 0 < cv2.countNonZero(none) < none.size:
+            beside = (cv2.dilate(none, _AROUND) != cv2.erode(none, _AROUND))[inner]
+            own = divisor[rows][beside]
+            modulator[rows][beside] = np.minimum(modulator[rows][beside], own)
 
     strips.run(work, height, width)

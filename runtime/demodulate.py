@@ -19,7 +19,7 @@ def divisor(
     out: np.ndarray | None = None,
     scratch: Scratch | None = None,
 ) -> np.ndarray:
-    """What radiance is divided by, and multiplied by again at the end.
+    """What radiance is divided by; and multiplied by again at the end, or by its mean over frames.
 
     differs: Fan et al. 2021, section 4.2, divide by the albedo itself. Renderers report albedo 0
     for valid hits (smooth mirrors, glass) and channels near 0.01 for saturated paint; dividing a

@@ -115,7 +115,13 @@ class Denoiser:
         """What will run for this frame, and why; nothing is run."""
         past = self._history
         same_size = past is not None and past.mean.shape[:2] == frame.shape
-        return stages.plan(frame, self.model.spec, has_history=same_size, temporal=self.temporal)
+        return stages.plan(
+            frame,
+            self.model.spec,
+            has_history=same_size,
+            temporal=self.temporal,
+            had_albedo=past is not None and past.divisor is not None,
+        )
 
     def denoise(self, frame: Frame) -> np.ndarray:
         """Denoise the next frame.
@@ -128,8 +134,8 @@ class Denoiser:
         Returns
         -------
         (height, width, 3) float32
-            Scene-linear radiance: finite, >= 0, and within the range of the accumulated radiance
-            of each window, since kernels cannot invent light.
+            Scene-linear radiance: finite, >= 0; a mean of the accumulated irradiance of each
+            window, since kernels cannot invent light, times a mean of the albedo around.
 
         Raises
         ------

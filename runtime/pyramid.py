@@ -188,7 +188,7 @@ def filter_pyramid(
     sample : (h, w, 4) float32 or None
         This frame's irradiance and what its samples are worth, > 0; None for that of ``mean``.
     divisor : (h, w, 3) float32 or None
-        What radiance was divided by.
+        What the result is multiplied by.
     previous : (h, w, 4) float32 or None
         Radiance of the previous output at these pixels, and how much of it is valid, [0, 1].
     logits

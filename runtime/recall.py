@@ -18,6 +18,7 @@ from stillray.timing import timed
 # Shares of the four taps that lie in the frame: below the first, light fades instead of being
 # normalised; above the second, only rounding is missing.
 _AROUND = np.ones((3, 3), np.uint8)
+_LONGEST = 1 << 14  # positions in a list: OpenCV takes no image of more than 32766 rows
 _LEAST_VALID, _WHOLE = np.float32(1e-3), np.float32(1 - 1e-3)
 
 
@@ -133,8 +134,10 @@ def recall(
         least, most = _range_around(output, positions, scratch)
         cv2.min(cv2.max(taken, least, dst=taken), most, dst=taken)
         if least[..., 3].min() < 1:
-            down, right = np.nonzero(least[..., 3] < 1)
-            taken[down, right] = _bilinear(output, positions[down, right][:, None])[:, 0]
+            at = np.flatnonzero(least[..., 3] < 1)
+            for part in np.split(at, range(_LONGEST, at.size, _LONGEST)):
+                listed = positions.reshape(-1, 2)[part][:, None]
+                taken.reshape(-1, 4)[part] = _bilinear(output, listed)[:, 0]
 
     strips.run(work, height, width)
     return past

@@ -42,7 +42,7 @@ def list_models() -> list[ModelInfo]:
     --------
     >>> import stillray
     >>> [model.name for model in stillray.list_models()]
-    ['kpyr-5', 'kpyr-5s', 'nbg-2x1', 'nbg-2x3', 'wskp-3', 'wskp-6', 'wskp-mr']
+    ['kpyr-5', 'kpyr-5s', 'nbg-2x1', 'nbg-2x3', 'nbg-7x3', 'wskp-3', 'wskp-6', 'wskp-mr']
     """
     folder = Path(str(resources.files("stillray.models")))
     return [

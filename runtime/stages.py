@@ -31,8 +31,27 @@ class Stage:
     reason: str
 
 
-def plan(frame: Frame, spec: ModelSpec, *, has_history: bool, temporal: bool) -> list[Stage]:
-    """The stages for one frame, in the order they run."""
+def plan(
+    frame: Frame,
+    spec: ModelSpec,
+    *,
+    has_history: bool,
+    temporal: bool,
+    had_albedo: bool = True,
+) -> list[Stage]:
+    """The stages for one frame, in the order they run.
+
+    Parameters
+    ----------
+    frame, spec
+        What is denoised, by which model.
+    has_history
+        Whether there is a past of the frame's size.
+    temporal
+        Whether the past is used.
+    had_albedo
+        Whether the last frame had albedo.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         total = float(frame.color.sum(dtype=np.float64))
     broken = not np.isfinite(total) or float(frame.color.min()) < 0
@@ -60,6 +79,7 @@ def plan(frame: Frame, spec: ModelSpec, *, has_history: bool, temporal: bool) ->
     why_antialias = "the model smooths edges otherwise" if not smooth else why
     if smooth and past:
         why_antialias = "albedo is given" if albedo else "no albedo given"
+        why_antialias = why_antialias if had_albedo else "the last frame had no albedo"
     why_modulate = "albedo is given" if albedo else "no albedo given"
     if albedo and family.recalls:
         why_modulate = "the reconstruction does it, before it resolves"
@@ -79,7 +99,7 @@ def plan(frame: Frame, spec: ModelSpec, *, has_history: bool, temporal: bool) ->
             why if not past else "motion is given" if moving else "motion is zero everywhere",
         ),
         Stage("accumulate", past, why),
-        Stage("antialias", smooth and past and albedo, why_antialias),
+        Stage("antialias", smooth and past and albedo and had_albedo, why_antialias),
         Stage(
             "recall",
             past and family.recalls,

@@ -229,7 +229,7 @@ def _antialias(given: Inputs) -> float:
     motion = np.round(given["at"] * 32) / np.float32(32)  # what it rounds to itself
     got, picture = np.empty_like(past), np.empty_like(by)
     antialias.accumulate(by, past, motion, SPEC.temporal, got, picture, _STRIPS)
-    wanted = oracles.antialiased(by, past, motion, SPEC.temporal.albedo_samples)
+    wanted, _ = oracles.antialiased(by, past, motion, SPEC.temporal.albedo_samples)
     return _relative(got, wanted)
 
 

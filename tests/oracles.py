@@ -87,24 +87,29 @@ def cubic_weight(distance: float) -> float:
 
 def antialiased(
     divisor: np.ndarray, past: np.ndarray, motion: np.ndarray, most_samples: float
-) -> np.ndarray:
-    """What `stillray.antialias.accumulate` remembers, pixel by pixel."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """What `stillray.antialias.accumulate` remembers and multiplies by, pixel by pixel."""
     height, width = divisor.shape[:2]
-    result = np.zeros((height, width, 4))
+    result, modulator = np.zeros((height, width, 4)), np.zeros((height, width, 3))
     for y, x in np.ndindex(height, width):
         at_x, at_y = x + float(motion[y, x, 0]), y + float(motion[y, x, 1])
         left, top = int(np.floor(at_x)), int(np.floor(at_y))
         brought = np.zeros(4)
         for ty, tx in itertools.product(range(top - 1, top + 3), range(left - 1, left + 3)):
-            if 0 <= ty < height and 0 <= tx < width:
-                weight = cubic_weight(at_y - ty) * cubic_weight(at_x - tx)
-                brought += weight * past[ty, tx].astype(np.float64)
+            weight = cubic_weight(at_y - ty) * cubic_weight(at_x - tx)
+            near = past[min(max(ty, 0), height - 1), min(max(tx, 0), width - 1)]
+            brought += weight * near.astype(np.float64)
         around = divisor[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].reshape(-1, 3)
         mean = np.clip(brought[:3], around.min(0), around.max(0))
         held = np.clip(brought[3], 0, most_samples)
-        result[y, x, :3] = (held * mean + divisor[y, x]) / (held + 1)
+        no_albedo = (around >= 1).all(1)
+        if not (0 <= at_x <= width - 1 and 0 <= at_y <= height - 1):
+            held = 0
+        result[y, x, :3] = modulator[y, x] = (held * mean + divisor[y, x]) / (held + 1)
         result[y, x, 3] = held + 1
-    return result
+        if no_albedo.any() and not no_albedo.all():
+            modulator[y, x] = np.minimum(modulator[y, x], divisor[y, x])
+    return result, modulator
 
 
 def sharp_recall(output: np.ndarray, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

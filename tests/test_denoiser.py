@@ -327,7 +327,7 @@ def test_a_wrong_buffer_is_named_with_its_rule_and_value(arguments, message):
 
 
 def test_an_unknown_model_lists_those_there_are():
-    names = "kpyr-5, kpyr-5s, nbg-2x1, nbg-2x3, wskp-3, wskp-6, wskp-mr"
+    names = "kpyr-5, kpyr-5s, nbg-2x1, nbg-2x3, nbg-7x3, wskp-3, wskp-6, wskp-mr"
     with pytest.raises(stillray.InputError, match=rf"one of {names}, .*fast.*got best"):
         stillray.Denoiser("best")
 

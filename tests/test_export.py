@@ -15,7 +15,7 @@ from stillray.session import open_session  # noqa: E402
 from stillray.training.families import FAMILIES  # noqa: E402
 
 
-@pytest.fixture(scope="module", params=["wskp-3", "kpyr-5", "kpyr-5xs", "nbg-2x3", "wskp-mr"])
+@pytest.fixture(scope="module", params=["wskp-3", "kpyr-5", "kpyr-5s", "nbg-2x3", "wskp-mr"])
 def exported(request, tmp_path_factory):
     torch.manual_seed(3)
     folder = tmp_path_factory.mktemp("models")

@@ -22,7 +22,6 @@ def data():
         "wskp-mr",
         "kpyr-5",
         "kpyr-5s",
-        "kpyr-5xs",
         "nbg-2x1",
         "nbg-2x3",
         "nbg-7x3",
@@ -89,7 +88,7 @@ def test_a_pyramid_names_the_list_that_is_too_short():
 def test_unknown_model_lists_those_there_are():
     with pytest.raises(
         SpecError,
-        match="kpyr-5, kpyr-5s, kpyr-5xs, nbg-2x1, nbg-2x3, nbg-7x3, wskp-3, wskp-6, wskp-mr, got",
+        match="kpyr-5, kpyr-5s, nbg-2x1, nbg-2x3, nbg-7x3, wskp-3, wskp-6, wskp-mr, got",
     ):
         load("wskp-7")
 
@@ -97,3 +96,10 @@ def test_unknown_model_lists_those_there_are():
 def test_specs_are_frozen():
     with pytest.raises(dataclasses.FrozenInstanceError):
         load("wskp-3").name = "x"
+
+
+def test_only_a_kernel_pyramid_works_on_blocks():
+    data = json.loads(load("wskp-mr").to_json())
+    data["network"]["block"] = 2
+    with pytest.raises(SpecError, match=r"network.block must be in \[1, 1\], got 2"):
+        parse(data)

@@ -37,7 +37,7 @@ def test_block_s_gradients_equal_those_of_its_branches():
         torch.testing.assert_close(one, other)
 
 
-@pytest.mark.parametrize("name", ["wskp-3", "wskp-6", "kpyr-5", "kpyr-5xs", "nbg-7x3", "wskp-mr"])
+@pytest.mark.parametrize("name", ["wskp-3", "wskp-6", "kpyr-5", "kpyr-5s", "nbg-7x3", "wskp-mr"])
 def test_fused_network_equals_the_trained_one_which_stays_as_it_was(name):
     torch.manual_seed(0)
     spec = load(name)
@@ -97,7 +97,7 @@ def test_pyramid_gives_a_map_a_level_and_starts_unresolved():
 
 
 def test_a_pyramid_that_works_on_blocks_gives_four_planes_for_one_and_the_blocks_own():
-    spec = load("kpyr-5xs")
+    spec = load("kpyr-5s")
     network = FAMILIES[spec.family].network(spec)
     features = torch.zeros(2, len(spec.network.features), 32, 48)
     maps = network(features)
@@ -111,7 +111,7 @@ def test_a_pyramid_that_works_on_blocks_gives_four_planes_for_one_and_the_blocks
 
 
 def test_every_pixel_of_a_block_sees_its_neighbours():
-    spec = load("kpyr-5xs")
+    spec = load("kpyr-5s")
     entry = FAMILIES[spec.family].network(spec).enter[0]
     features = torch.zeros(1, len(spec.network.features), 16, 16)
     inside = []

@@ -121,3 +121,10 @@ def test_layers_are_recalled_as_the_beauty_was(rng):
     expected = recall.recall(whole, motion, Strips(1), sharp=True)
     valid = expected[..., 3] > 0.01  # below, light fades
     np.testing.assert_allclose(added[valid], expected[..., :3][valid], rtol=1e-5, atol=2e-5)
+
+
+def test_a_frame_that_comes_from_outside_altogether_is_recalled_as_nothing():
+    # more pixels in a strip than OpenCV takes rows
+    motion = np.full((300, 400, 2), 1e6, np.float32)
+    past = recall.recall(ramp(300, 400), motion, Strips(1), sharp=True)
+    assert not past.any()

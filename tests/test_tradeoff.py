@@ -82,7 +82,7 @@ def test_advice_is_a_sentence_to_act_on():
 
 
 def test_fewer_kernels_are_the_first_ones(rng):
-    info = find_model("fast")
+    info = find_model("wskp-3")
     frame = make_frame(33, 18)
     with Denoiser(tuned(info, kernels=1)) as one, Denoiser(tuned(info, kernels=6)) as all_of_them:
         image = one.denoise(frame)
@@ -100,7 +100,7 @@ def test_fewer_kernels_are_the_first_ones(rng):
 
 
 def test_a_short_history_forgets():
-    info = find_model("fast")
+    info = find_model("wskp-3")
     for samples in (1, 16):
         with Denoiser(tuned(info, max_samples=samples)) as denoiser:
             for index in range(8):
@@ -114,11 +114,11 @@ def test_a_short_history_forgets():
 
 def test_settings_that_a_model_does_not_have_are_refused():
     with pytest.raises(InputError, match="kernels must be 1 to the 6 that wskp-3 fuses, got 7"):
-        tuned(find_model("fast"), kernels=7)
+        tuned(find_model("wskp-3"), kernels=7)
     with pytest.raises(InputError, match="kernels must be 1 to the 0 that kpyr-5 fuses, got 1"):
         tuned(find_model("high"), kernels=1)
     with pytest.raises(InputError, match=r"max_samples must be 1 or more, got 0\.5"):
-        tuned(find_model("fast"), max_samples=0.5)
+        tuned(find_model("wskp-3"), max_samples=0.5)
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +134,7 @@ def folder(tmp_path_factory):
 def test_models_options_and_peers_are_scored_and_timed(folder, tmp_path, capsys):
     pytest.importorskip("matplotlib")
     plot = tmp_path / "t.png"
-    options = ["tradeoff", str(folder), "--model", "fast", "--peer", "svgf"]
+    options = ["tradeoff", str(folder), "--model", "wskp-3", "--peer", "svgf"]
     assert cli.main([*options, "--json", "--plot", str(plot)]) == 0
     facts = json.loads(capsys.readouterr().out)
     methods = {method["label"]: method for method in facts["methods"]}
@@ -145,7 +145,7 @@ def test_models_options_and_peers_are_scored_and_timed(folder, tmp_path, capsys)
     assert [name for name, method in methods.items() if method["peer"]] == ["SVGF"]
     frames = [read_exr(path) for path in sorted((folder / "room").glob("frame_*.exr"))]
     reference = read_exr(folder / "room" / "ref_0007.exr").color
-    with Denoiser("fast") as denoiser:
+    with Denoiser("wskp-3") as denoiser:
         image = [denoiser.denoise(frame) for frame in frames][-1]
     expected = metrics.evaluate([image], [reference], names=["psnr"])["psnr"]
     assert methods["wskp-3"]["scores"]["psnr"] == pytest.approx(expected, abs=1e-4)
@@ -157,7 +157,7 @@ def test_models_options_and_peers_are_scored_and_timed(folder, tmp_path, capsys)
 
 
 def test_the_table_ends_with_advice_for_every_metric(folder, capsys):
-    assert cli.main(["tradeoff", str(folder), "--model", "fast", "--no-peers"]) == 0
+    assert cli.main(["tradeoff", str(folder), "--model", "wskp-3", "--no-peers"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert any(line.startswith("noisy") for line in lines)
     assert any(line.startswith("PSNR: for ") and " ms use " in line for line in lines)
@@ -166,10 +166,10 @@ def test_the_table_ends_with_advice_for_every_metric(folder, capsys):
 
 def test_threads_change_no_picture_and_are_scored_once(monkeypatch):
     monkeypatch.setattr(tradeoff, "available_threads", lambda: 2)
-    options = {option.label: option for option in tradeoff.model_options("fast")}
+    options = {option.label: option for option in tradeoff.model_options("wskp-3")}
     assert options["wskp-3, 1 thread"].same_picture_as == "wskp-3"
     monkeypatch.setattr(tradeoff, "available_threads", lambda: 1)
-    assert "wskp-3, 1 thread" not in {o.label for o in tradeoff.model_options("fast")}
+    assert "wskp-3, 1 thread" not in {o.label for o in tradeoff.model_options("wskp-3")}
 
 
 def test_without_the_evaluation_one_line_says_what_to_install(tmp_path, monkeypatch, capsys):
@@ -181,5 +181,5 @@ def test_without_the_evaluation_one_line_says_what_to_install(tmp_path, monkeypa
 
 
 def test_a_folder_without_references_is_refused(tmp_path, capsys):
-    assert cli.main(["tradeoff", str(tmp_path), "--model", "fast", "--no-peers"]) == 2
+    assert cli.main(["tradeoff", str(tmp_path), "--model", "wskp-3", "--no-peers"]) == 2
     assert "folder must hold sequences with references" in capsys.readouterr().err

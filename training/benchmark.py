@@ -213,7 +213,9 @@ def main(
         ours = measure_memory(settings, sequence)
         memory = dict(zip((run.info.name for run in runs), ours, strict=True))
         memory |= peer_memory(list(peers), settings[0], sequence)
-        curves = scaling_curves("fast", threads=threads, sizes=SIZES, told=told) if scaling else []
+        curves = (
+            scaling_curves("wskp-3", threads=threads, sizes=SIZES, told=told) if scaling else []
+        )
     results = [
         Result(run=run, work=stage_work(run.info, clip.frames[0]), peaks=peaks, memory=found)
         for run, found in zip(runs, ours, strict=True)

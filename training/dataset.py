@@ -35,7 +35,8 @@ class Example:
     mean: np.ndarray  # (h, w, 4) irradiance and samples
     sample: np.ndarray  # (h, w, 4) irradiance of this frame and what it is worth
     exposure: float
-    divisor: np.ndarray  # (h, w, 3)
+    divisor: np.ndarray  # (h, w, 3) what radiance was divided by
+    modulator: np.ndarray  # (h, w, 3) what the result is multiplied by
     albedo: np.ndarray  # (h, w, 3)
     normal: np.ndarray  # (h, w, 3)
     depth: np.ndarray  # (h, w)
@@ -54,7 +55,7 @@ class Batch:
     samples: np.ndarray
     new: np.ndarray
     worth: np.ndarray
-    divisor: np.ndarray
+    divisor: np.ndarray  # what the result is multiplied by
     previous: np.ndarray
     valid: np.ndarray
     reference: np.ndarray
@@ -82,6 +83,7 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Examp
             prepared = prepare(frame, spec, history, strips, {}, wants_sample=True)
             history = prepared.history
         assert history is not None
+        assert prepared.divisor is not None
         assert prepared.modulator is not None
         assert prepared.albedo is not None
         assert prepared.normal is not None
@@ -92,7 +94,8 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Examp
                 mean=history.mean,
                 sample=history.mean if prepared.sample is None else prepared.sample,
                 exposure=history.exposure,
-                divisor=prepared.modulator,
+                divisor=shared.divisor if shared else prepared.divisor,
+                modulator=prepared.modulator,
                 albedo=shared.albedo if shared else prepared.albedo,
                 normal=shared.normal if shared else prepared.normal,
                 depth=shared.depth if shared else prepared.depth,
@@ -182,7 +185,7 @@ class PatchSampler:
         sample = turn(example.sample[window]).copy()
         sample[..., :3] = sample[..., order] * gain
         reference = turn(example.reference[window])[..., order] * gain
-        divisor = turn(example.divisor[window])[..., order]
+        modulator = turn(example.modulator[window])[..., order]
         previous = turn(example.previous[window]).copy()
         previous[..., :3] = previous[..., order] * gain
         albedo: np.ndarray | None = turn(example.albedo[window])[..., order]
@@ -190,9 +193,10 @@ class PatchSampler:
         depth: np.ndarray | None = turn(example.depth[window])
         if rng.random() < recipe.drop_feature:
             # no albedo: what is filtered is radiance
+            divisor = turn(example.divisor[window])[..., order]
             mean[..., :3] *= divisor
             sample[..., :3] *= divisor
-            divisor, albedo = np.ones_like(divisor), None
+            modulator, albedo = np.ones_like(divisor), None
         if rng.random() < recipe.drop_feature:
             normal = None
         if rng.random() < recipe.drop_feature:
@@ -214,14 +218,14 @@ class PatchSampler:
             depth_unit=example.depth_unit,
             out=features,
         )
-        encode.previous_planes(previous, divisor, exposure, spec.network.features, out=features)
+        encode.previous_planes(previous, modulator, exposure, spec.network.features, out=features)
         return {
             "features": features,
             "irradiance": _chw(mean[..., :3]),
             "samples": mean[None, ..., 3],
             "new": _chw(sample[..., :3]),
             "worth": sample[None, ..., 3],
-            "divisor": _chw(divisor),
+            "divisor": _chw(modulator),
             "previous": _chw(previous[..., :3]),
             "valid": previous[None, ..., 3],
             "reference": _chw(reference),
