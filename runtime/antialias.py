@@ -82,8 +82,7 @@ def accumulate(
         if moves:
             positions = scratch.array("positions", motion[rows].shape)
             positions_of(motion[rows], rows, positions)
-            # a mean of four, frame after frame, would wash textures out
-            cv2.remap(past, positions, None, cv2.INTER_CUBIC, mean, cv2.BORDER_REPLICATE)
+            cv2.remap(past, positions, None, cv2.INTER_LINEAR, mean, cv2.BORDER_REPLICATE)
         else:
             np.copyto(mean, past[rows])
         held = cv2.extractChannel(mean, 3, dst=scratch.array("held", mean.shape[:2]))

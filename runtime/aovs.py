@@ -24,7 +24,6 @@ from stillray.models_spec.loader import ModelSpec
 from stillray.prepare import History, LayerPast, Prepared, rough_blocks
 from stillray.repair import fill, repair_radiance
 from stillray.scratch import Scratch
-from stillray.silhouettes import motion_of_edges
 from stillray.strips import Strips, interleave, planes_of
 
 _ROUNDING = 1e-5  # relative: what a factor may differ from 1 by rounding alone
@@ -98,8 +97,8 @@ def filter_layers(
     if family.settle is not None:
         outputs = family.settle(prepared, outputs, spec, strips)
     follow: Callable[[np.ndarray], np.ndarray] | None = None
-    if history is not None and history.output is not None and prepared.motion is not None:
-        motion = motion_of_edges(prepared.motion, prepared.depth, strips)
+    if history is not None and history.output is not None and prepared.picture_motion is not None:
+        motion = prepared.picture_motion
         follow = recall.recall_of_layers(history.output, motion, spec, strips)
     images, pasts = {}, {}
     for name, layer in layers.items():

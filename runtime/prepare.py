@@ -90,6 +90,8 @@ class Prepared:
         Scale of the depth feature.
     motion : (h, w, 2) float32 or None
         The frame's, finite; in mirrors that of what they show, see `stillray.mirror`.
+    picture_motion : (h, w, 2) float32 or None
+        By which past pictures are followed, see `stillray.silhouettes`; None without a past.
     """
 
     history: History
@@ -103,6 +105,7 @@ class Prepared:
     depth: np.ndarray | None
     depth_unit: float
     motion: np.ndarray | None
+    picture_motion: np.ndarray | None
 
 
 def prepare(
@@ -241,19 +244,21 @@ def prepare(
     if moves:
         with timed(timings, "accumulate"):
             _local_luminance(accumulated, exposure, local, spec, strips)
-    modulator, remembered = divide_by, None
+    modulator, remembered, picture_motion = divide_by, None, None
+    if history is not None and buffers.motion is not None:
+        with timed(timings, "warp"):
+            picture_motion = motion_of_edges(buffers.motion, buffers.depth, strips)
     if temporal and divide_by is not None and spec.temporal.albedo_samples > 0:
-        before = None if history is None or buffers.motion is None else history.divisor
         remembered = None if spare is None else spare.divisor
         remembered = np.empty((*shape, 4), np.float32) if remembered is None else remembered
-        if before is None or buffers.motion is None:
+        before = None if history is None else history.divisor
+        if before is None or picture_motion is None:
             antialias.begin(divide_by, remembered)
         else:
             with timed(timings, "antialias"):
-                motion = motion_of_edges(buffers.motion, buffers.depth, strips)
                 modulator = kept.array("modulator", divide_by.shape)
                 antialias.accumulate(
-                    divide_by, before, motion, spec.temporal, remembered, modulator, strips
+                    divide_by, before, picture_motion, spec.temporal, remembered, modulator, strips
                 )
     return Prepared(
         history=History(mean=mean, guides=guides, exposure=exposure, divisor=remembered),
@@ -267,6 +272,7 @@ def prepare(
         depth=buffers.depth,
         depth_unit=depth_unit,
         motion=buffers.motion,
+        picture_motion=picture_motion,
     )
 
 

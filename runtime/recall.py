@@ -11,7 +11,6 @@ from stillray.models_spec.loader import ModelSpec, PyramidKernels
 from stillray.prepare import History, Prepared
 from stillray.reproject import positions_of
 from stillray.scratch import Scratch
-from stillray.silhouettes import motion_of_edges
 from stillray.strips import Strips
 from stillray.timing import timed
 
@@ -34,13 +33,13 @@ def recalled(
 
     It lies in ``kept`` if that is given, or in the history where nothing moves.
     """
-    if history is None or history.output is None or prepared.motion is None:
+    motion = prepared.picture_motion
+    if history is None or history.output is None or motion is None:
         return None
-    if history.output.shape[:2] != prepared.motion.shape[:2]:
+    if history.output.shape[:2] != motion.shape[:2]:
         return None
     with timed(timings, "recall"):
         out = None if kept is None else kept.array("recalled", history.output.shape)
-        motion = motion_of_edges(prepared.motion, prepared.depth, strips)
         past = recall(history.output, motion, strips, out, sharp=is_sharp(spec))
         return forget_uncovered(past, history.output, prepared)
 

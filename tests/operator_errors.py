@@ -226,7 +226,7 @@ def _recall(given: Inputs) -> float:
 def _antialias(given: Inputs) -> float:
     by = demodulate.divisor(given["albedo"], SPEC.demodulate)
     past = np.dstack([demodulate.divisor(given["before"], SPEC.demodulate), given["held"]])
-    motion = np.round(given["at"] * 32) / np.float32(32)  # what it rounds to itself
+    motion = np.round(given["at"] * 256) / np.float32(256)
     got, picture = np.empty_like(past), np.empty_like(by)
     antialias.accumulate(by, past, motion, SPEC.temporal, got, picture, _STRIPS)
     wanted, _ = oracles.antialiased(by, past, motion, SPEC.temporal.albedo_samples)

@@ -95,8 +95,8 @@ def antialiased(
         at_x, at_y = x + float(motion[y, x, 0]), y + float(motion[y, x, 1])
         left, top = int(np.floor(at_x)), int(np.floor(at_y))
         brought = np.zeros(4)
-        for ty, tx in itertools.product(range(top - 1, top + 3), range(left - 1, left + 3)):
-            weight = cubic_weight(at_y - ty) * cubic_weight(at_x - tx)
+        for ty, tx in itertools.product((top, top + 1), (left, left + 1)):
+            weight = (1 - abs(at_y - ty)) * (1 - abs(at_x - tx))
             near = past[min(max(ty, 0), height - 1), min(max(tx, 0), width - 1)]
             brought += weight * near.astype(np.float64)
         around = divisor[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].reshape(-1, 3)

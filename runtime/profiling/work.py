@@ -90,8 +90,8 @@ def _each_pixel(spec: ModelSpec, frame: Frame) -> dict[str, tuple[float, float]]
         "warp": (4 * (2 * 8 + 9) + 12, 2 + 4 + 4 + 4),
         # weight, running mean of three channels, local luminance
         "accumulate": (8 + 3 * 4 + local + 5, 3 + albedo + 2 + 4 + 2),
-        # sixteen taps, the least and the most of nine, limits and the mean, of each channel
-        "antialias": (3 * (16 * 2 + 4 + 4 + 2 + 3), albedo + 2 + 4 + 4 + albedo),
+        # four taps, the least and the most of nine, limits and the mean, of each channel
+        "antialias": (3 * (4 * 2 + 4 + 4 + 2 + 3), albedo + 2 + 4 + 4 + albedo),
         "recall": (4 * 2 * 4 + 6, 2 + 4 + 4),
         "encode": (3 * (4 + _EXP) + 4 + 2, 4 + 1 + albedo + guides + features),
         "reconstruct": (operations, planes),

@@ -52,7 +52,6 @@ def _peak(denoiser: stillray.Denoiser, before: int, after: int) -> float:
     "a firefly of 1e3 to 3e38 in the first frame",
     "largest pixel / the same without it",
     6,
-    kpyr_5s=_TRUSTS_SAMPLES,
     nbg_2x1="one grid spreads a firefly over 6 pixels to each side, too few to bring it down",
 )
 def firefly_in_the_first_frame(denoiser: stillray.Denoiser) -> float:
@@ -63,7 +62,6 @@ def firefly_in_the_first_frame(denoiser: stillray.Denoiser) -> float:
     "the same, four frames later",
     "largest pixel / the same without it",
     2.5,
-    kpyr_5s=_TRUSTS_SAMPLES,
 )
 def firefly_four_frames_later(denoiser: stillray.Denoiser) -> float:
     return _peak(denoiser, 0, 4)
@@ -103,7 +101,6 @@ def _clusters(denoiser: stillray.Denoiser, brightness: float, after: int) -> flo
     "largest pixel / the same without it",
     100,
     kpyr_5=_TRUSTS_SAMPLES,
-    kpyr_5s=_TRUSTS_SAMPLES,
     wskp_mr=_TRUSTS_SAMPLES,
 )
 def cluster_of_fireflies(denoiser: stillray.Denoiser) -> float:
@@ -115,7 +112,6 @@ def cluster_of_fireflies(denoiser: stillray.Denoiser) -> float:
     "largest pixel / the same without it",
     100,
     kpyr_5=_TRUSTS_SAMPLES,
-    kpyr_5s=_TRUSTS_SAMPLES,
     wskp_mr=_TRUSTS_SAMPLES,
 )
 def cluster_of_huge_fireflies(denoiser: stillray.Denoiser) -> float:
@@ -157,7 +153,6 @@ def nothing_but_broken_pixels(denoiser: stillray.Denoiser) -> float:
     "a NaN beside a firefly of 3e38",
     "largest pixel / the surroundings",
     3,
-    kpyr_5s=_TRUSTS_SAMPLES,
 )
 def broken_pixel_beside_a_firefly(denoiser: stillray.Denoiser) -> float:
     frame = _with_firefly(flat(0.5), 3e38)
@@ -226,7 +221,6 @@ _TAKEN_FOR_A_FIREFLY = "the network spreads little of one bright pixel, however 
     "share of its light lost",
     0.25,
     kpyr_5=_TAKEN_FOR_A_FIREFLY,
-    kpyr_5s=_TAKEN_FOR_A_FIREFLY,
     wskp_mr=_TAKEN_FOR_A_FIREFLY,
     wskp_6=_TAKEN_FOR_A_FIREFLY,
 )
