@@ -247,7 +247,8 @@ def prepare(
     modulator, remembered, picture_motion = divide_by, None, None
     if history is not None and buffers.motion is not None:
         with timed(timings, "warp"):
-            picture_motion = motion_of_edges(buffers.motion, buffers.depth, strips)
+            out = kept.array("picture motion", buffers.motion.shape)
+            picture_motion = motion_of_edges(buffers.motion, buffers.depth, strips, out)
     if temporal and divide_by is not None and spec.temporal.albedo_samples > 0:
         remembered = None if spare is None else spare.divisor
         remembered = np.empty((*shape, 4), np.float32) if remembered is None else remembered

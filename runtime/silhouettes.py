@@ -12,7 +12,12 @@ _FAR = np.float32(1e30)  # depth of background
 _AROUND = np.ones((3, 3), np.uint8)
 
 
-def motion_of_edges(motion: np.ndarray, depth: np.ndarray | None, strips: Strips) -> np.ndarray:
+def motion_of_edges(
+    motion: np.ndarray,
+    depth: np.ndarray | None,
+    strips: Strips,
+    out: np.ndarray | None = None,
+) -> np.ndarray:
     """Motion by which a past picture is followed: at silhouettes, that of the nearer surface.
 
     There a picture is a mean of what is in front and what is behind, and moves with what is in
@@ -27,6 +32,8 @@ def motion_of_edges(motion: np.ndarray, depth: np.ndarray | None, strips: Strips
         0 where nothing was hit; None: the motion as it is.
     strips
         Where the work runs.
+    out : (h, w, 2) float32, optional
+        Written and returned where some pixel goes with another.
 
     Returns
     -------
@@ -64,9 +71,10 @@ def motion_of_edges(motion: np.ndarray, depth: np.ndarray | None, strips: Strips
     parts = strips.run(silhouettes, height, width)
     if not any(len(at) for at, _ in parts):
         return motion
+    followed = np.empty((height, width, 2), np.float32) if out is None else out
+    np.copyto(followed, motion)
     # two floats as one element: NumPy then picks and puts pixels faster
-    of_pixels = np.ascontiguousarray(motion).reshape(-1).view(np.complex64)
-    followed = of_pixels.copy()
+    pixels = np.ascontiguousarray(motion).reshape(-1).view(np.complex64)
     for at, neighbour in parts:
-        followed[at] = of_pixels[neighbour]
-    return followed.view(np.float32).reshape(height, width, 2)
+        followed.reshape(-1).view(np.complex64)[at] = pixels[neighbour]
+    return followed

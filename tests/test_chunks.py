@@ -21,7 +21,7 @@ from tests.dask_processes import dask_processes, wait_for
 from tests.test_resume import write_frame
 
 FRAMES = 16
-FAST = ("denoise", "shot.##.exr", "-m", "fast")
+FAST = ("denoise", "shot.##.exr", "-m", "wskp-3")
 
 
 @pytest.fixture
@@ -82,7 +82,7 @@ def test_split_makes_paths_that_hold_in_other_folders(tmp_path, monkeypatch):
 
 
 def work_of(**changes):
-    digest = file_digest(find_model("fast").path)
+    digest = file_digest(find_model("wskp-3").path)
     recipe = Recipe(**{"model": "wskp-3", "model_digest": digest} | changes)
     return Work(model="wskp-3", recipe=recipe, layout=Layout(), memory=3)
 

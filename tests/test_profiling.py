@@ -214,7 +214,17 @@ def test_without_matplotlib_a_plot_is_refused_before_anything_is_measured(monkey
 
 
 def test_profile_reports_every_stage_as_json_and_as_a_table(capsys):
-    options = ["profile", "--model", "fast", "--size", "64x36", "--threads", "1", "--seconds", "0"]
+    options = [
+        "profile",
+        "--model",
+        "wskp-3",
+        "--size",
+        "64x36",
+        "--threads",
+        "1",
+        "--seconds",
+        "0",
+    ]
     assert cli.main([*options, "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     (run,) = facts["runs"]
@@ -237,7 +247,7 @@ def test_profile_reports_every_stage_as_json_and_as_a_table(capsys):
 def test_a_user_s_own_file_is_profiled_at_its_size(tmp_path, capsys):
     frame = swing(*SIZE)[0]
     write_frame(tmp_path / "a.exr", stillray.Frame(color=frame.color))
-    options = ["--model", "fast", "--seconds", "0", "--no-memory", "--json"]
+    options = ["--model", "wskp-3", "--seconds", "0", "--no-memory", "--json"]
     assert cli.main(["profile", str(tmp_path / "a.exr"), *options]) == 0
     (run,) = json.loads(capsys.readouterr().out)["runs"]
     assert (run["height"], run["width"]) == SIZE
