@@ -22,6 +22,9 @@ from tests.hard_cases.case import (
 )
 
 _TRUSTS_SAMPLES = "the network takes too much of a lone bright sample where nothing else is noisy"
+_TRAINED_ON_CLEAN = (
+    "trained on 64 samples a pixel alone, it has seen few fireflies and no bright one"
+)
 FIREFLIES = (1e3, 1e4, 1e6, 1e12, 1e30, 3e38)  # times the surroundings, which are below 1
 
 
@@ -71,6 +74,7 @@ def firefly_four_frames_later(denoiser: stillray.Denoiser) -> float:
     "a firefly of 1e3 to 3e38 after 20 frames",
     "largest pixel / the same without it",
     4,
+    nbg_7x3=_TRAINED_ON_CLEAN,
     wskp_3="a fifth above the limit since it reads eight features; why was not found",
 )
 def firefly_in_an_old_history(denoiser: stillray.Denoiser) -> float:
@@ -101,6 +105,7 @@ def _clusters(denoiser: stillray.Denoiser, brightness: float, after: int) -> flo
     "largest pixel / the same without it",
     100,
     kpyr_5=_TRUSTS_SAMPLES,
+    nbg_7x3=_TRAINED_ON_CLEAN,
     wskp_mr=_TRUSTS_SAMPLES,
 )
 def cluster_of_fireflies(denoiser: stillray.Denoiser) -> float:
@@ -112,6 +117,7 @@ def cluster_of_fireflies(denoiser: stillray.Denoiser) -> float:
     "largest pixel / the same without it",
     100,
     kpyr_5=_TRUSTS_SAMPLES,
+    nbg_7x3=_TRAINED_ON_CLEAN,
     wskp_mr=_TRUSTS_SAMPLES,
 )
 def cluster_of_huge_fireflies(denoiser: stillray.Denoiser) -> float:
@@ -153,6 +159,7 @@ def nothing_but_broken_pixels(denoiser: stillray.Denoiser) -> float:
     "a NaN beside a firefly of 3e38",
     "largest pixel / the surroundings",
     3,
+    nbg_7x3=_TRAINED_ON_CLEAN,
 )
 def broken_pixel_beside_a_firefly(denoiser: stillray.Denoiser) -> float:
     frame = _with_firefly(flat(0.5), 3e38)

@@ -59,6 +59,7 @@ _KERNELS_MOVE_LIGHT = (
     "relative error of its light",
     1e-3,
     kpyr_5=_KERNELS_MOVE_LIGHT,
+    nbg_7x3=_KERNELS_MOVE_LIGHT,
     wskp_3=_KERNELS_MOVE_LIGHT,
     wskp_6=_KERNELS_MOVE_LIGHT,
     wskp_mr=_KERNELS_MOVE_LIGHT,
@@ -96,6 +97,7 @@ _KEPT_TOO_LONG = "the previous output is recalled without a look at geometry, an
     0.1,
     kpyr_5=_KEPT_TOO_LONG,
     kpyr_5s=_KEPT_TOO_LONG,
+    nbg_7x3="a frame of one sample takes its guides from the noise, and its past changes them",
 )
 def full_disocclusion_leaves_no_ghost(denoiser: stillray.Denoiser) -> float:
     after = [
