@@ -47,7 +47,7 @@ so read these figures as validation, not as a test. SVGF
 (Schied et al. 2017) and BMFR (Koskela et al. 2019) are our own implementations in `training/peers`,
 with published parameters, which remember frames too; both end with temporal antialiasing (TAA) of
 the picture, so SVGF is there without it as well; of ours, the kpyr models resolve with their last
-output, and all accumulate the albedo. OIDN is Open Image
+output, and all but kpyr-5 accumulate the albedo. OIDN is Open Image
 Denoise with albedo and normal, fed the raw frame, or the frame as accumulated for our kernels.
 Flicker is the mean absolute error of the tone-mapped difference between the last two frames.
 FovVideoVDP (Mantiuk et al. 2021) sees the same two frames, at 30 frames a second after a still of
