@@ -179,7 +179,6 @@ def _in_runtime(
         depth=None,
         depth_unit=1.0,
         motion=None,
-        picture_motion=None,
     )
     family = runtime_families.FAMILIES[spec.family]
     previous = interleaved("previous", "valid") if family.recalls else None

@@ -17,12 +17,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stillray.models_spec.loader import Temporal
-from stillray.reproject import positions_of
 from stillray.strips import Strips, with_halo
 
 _AROUND = np.ones((3, 3), np.uint8)
-_ONES, _ABOVE = (1.0, 1.0, 1.0), (2.0, 2.0, 2.0)
+_SUM = np.ones((1, 3), np.float32)
+_STRIP_PIXELS = 1 << 16  # four channels in several arrays: they should stay in the cache
+_WHOLE = np.float32(1 - 1e-3)  # share of the taps that lay in the frame: all, up to rounding
 
 
 def begin(divisor: np.ndarray, remembered: np.ndarray) -> None:
@@ -33,7 +33,7 @@ def begin(divisor: np.ndarray, remembered: np.ndarray) -> None:
     divisor : (h, w, 3) float32
         Of this frame.
     remembered : (h, w, 4) float32
-        Written: the divisor and, last, the samples that it holds: 1.
+        Written: the divisor and, last, 1.
     """
     cv2.cvtColor(divisor, cv2.COLOR_RGB2RGBA, dst=remembered)  # alpha of float images is 1
 
@@ -41,8 +41,8 @@ def begin(divisor: np.ndarray, remembered: np.ndarray) -> None:
 def accumulate(
     divisor: np.ndarray,
     past: np.ndarray,
-    motion: np.ndarray,
-    options: Temporal,
+    samples: float,
+    positions: np.ndarray | None,
     remembered: np.ndarray,
     modulator: np.ndarray,
     strips: Strips,
@@ -55,12 +55,13 @@ def accumulate(
         Of this frame, see `stillray.demodulate.divisor`.
     past : (h, w, 4) float32
         What the last frame has left.
-    motion : (h, w, 2) float32
-        Pixels, see `stillray.silhouettes.motion_of_edges`.
-    options
-        How many samples the past is worth at most.
+    samples
+        What the past is worth, where this frame is worth 1.
+    positions : (h, w, 2) float32 or None
+        See `stillray.prepare.Prepared`. What was outside of the last frame is this
+        frame's alone.
     remembered : (h, w, 4) float32
-        Written: the mean and, last, the samples that it holds.
+        Written: the mean and, last, 1.
     modulator : (h, w, 3) float32
         Written: the mean, in the range of the divisor's 3x3 pixels around; where some of those have
         no albedo and some have, the divisor at most.
@@ -68,7 +69,7 @@ def accumulate(
         Where the work runs.
     """
     height, width = divisor.shape[:2]
-    moves = bool(motion.any())
+    share = samples / (samples + 1)
 
     def work(rows: slice) -> None:
         scratch, mean = strips.scratch, remembered[rows]
@@ -79,31 +80,25 @@ def accumulate(
         cv2.erode(now, _AROUND, dst=least)
         cv2.dilate(now, _AROUND, dst=most)
         now = now[inner]
-        if moves:
-            positions = scratch.array("positions", motion[rows].shape)
-            positions_of(motion[rows], rows, positions)
-            cv2.remap(past, positions, None, cv2.INTER_LINEAR, mean, cv2.BORDER_REPLICATE)
-        else:
+        if positions is None:
             np.copyto(mean, past[rows])
-        held = cv2.extractChannel(mean, 3, dst=scratch.array("held", mean.shape[:2]))
-        np.clip(held, 0, options.albedo_samples, out=held)
-        if moves:
-            seen = cv2.inRange(positions, (0, 0), (width - 1, height - 1))
-            if cv2.countNonZero(seen) < seen.size:
-                held[seen == 0] = 0
+        else:
+            border = cv2.BORDER_CONSTANT
+            cv2.remap(past, positions[rows], None, cv2.INTER_LINEAR, mean, border, 0)
+            inside = cv2.extractChannel(mean, 3, dst=scratch.array("inside", mean.shape[:2]))
+            if inside.min() < _WHOLE:
+                outside = inside < _WHOLE
+                mean[outside] = now[outside]
         cv2.max(mean, least[inner], dst=mean)
         cv2.min(mean, most[inner], dst=mean)
-        share = held / (held + 1)
-        mean -= now
-        mean *= cv2.cvtColor(share, cv2.COLOR_GRAY2RGBA, dst=scratch.array("share", mean.shape))
-        mean += now
-        held += 1
-        cv2.insertChannel(held, mean, 3)
+        cv2.addWeighted(mean, share, now, 1 - share, 0, dst=mean)
         cv2.cvtColor(mean, cv2.COLOR_RGBA2RGB, dst=modulator[rows])
-        none = cv2.inRange(divisor[around], _ONES, _ABOVE)
-        if 0 < cv2.countNonZero(none) < none.size:
-            beside = (cv2.dilate(none, _AROUND) != cv2.erode(none, _AROUND))[inner]
-            own = divisor[rows][beside]
-            modulator[rows][beside] = np.minimum(modulator[rows][beside], own)
+        total = cv2.transform(divisor[around], _SUM, dst=scratch.array("total", shape[:2]))
+        if total.max() < 3:
+            return
+        none = (total >= 3).view(np.uint8)
+        beside = (cv2.dilate(none, _AROUND) != cv2.erode(none, _AROUND))[inner]
+        own = divisor[rows][beside]
+        modulator[rows][beside] = np.minimum(modulator[rows][beside], own)
 
-    strips.run(work, height, width)
+    strips.run(work, height, width, pixels=_STRIP_PIXELS)

@@ -97,16 +97,17 @@ def filter_layers(
     if family.settle is not None:
         outputs = family.settle(prepared, outputs, spec, strips)
     follow: Callable[[np.ndarray], np.ndarray] | None = None
-    if history is not None and history.output is not None and prepared.picture_motion is not None:
-        motion = prepared.picture_motion
-        follow = recall.recall_of_layers(history.output, motion, spec, strips)
+    if history is not None and history.output is not None and prepared.motion is not None:
+        follow = recall.recall_of_layers(history.output, prepared.picture_positions, spec, strips)
     images, pasts = {}, {}
     for name, layer in layers.items():
         radiance = np.where(np.isfinite(layer), layer, np.float32(0))
         if broken.any():
             radiance[broken] = 0
             radiance = fill(radiance, ~broken)
-        divisor = None if name in irradiance else prepared.divisor
+        divisor, modulator = prepared.divisor, prepared.modulator
+        if name in irradiance:
+            divisor = modulator = None
         light = radiance * factor if divisor is None else radiance / divisor * factor
         sample = mean = cv2.merge([*cv2.split(light), weight])
         previous: np.ndarray | None = None
@@ -120,7 +121,7 @@ def filter_layers(
             prepared,
             history=replace(prepared.history, mean=mean),
             sample=None if accumulated is None else sample,
-            modulator=None if name in irradiance else prepared.modulator,
+            modulator=modulator,
         )
         images[name] = image = family.reconstruct(own, previous, outputs, spec, strips, {})
         if temporal:

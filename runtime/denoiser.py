@@ -207,6 +207,7 @@ class Denoiser:
             self.last_timings,
             temporal=self.temporal,
             wants_sample=family.renews or bool(layers),
+            recalls=family.recalls,
             kept=self._kept,
             spare=self._spare,
         )
@@ -236,7 +237,7 @@ class Denoiser:
     def _filter_tiles(
         self, prepared: Prepared, previous: np.ndarray | None, tiles: list[Tile]
     ) -> np.ndarray:
-        image = np.empty((*prepared.local.shape, 3), np.float32)
+        image = np.empty((*prepared.luminance.shape, 3), np.float32)
         for tile in tiles:
             past = None if previous is None else np.ascontiguousarray(previous[tile.outer])
             image[tile.inner] = self._filter(crop(prepared, tile), past)[0][tile.within]
@@ -265,7 +266,7 @@ class Denoiser:
     def _encode(
         self, spec: ModelSpec, prepared: Prepared, previous: np.ndarray | None
     ) -> np.ndarray:
-        height, width = prepared.local.shape
+        height, width = prepared.luminance.shape
         multiple = FAMILIES[spec.family].multiple(spec)
         full = (-(-height // multiple) * multiple, -(-width // multiple) * multiple)
         features_nchw = self._kept.array("features", (1, len(spec.network.features), *full))

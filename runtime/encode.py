@@ -12,7 +12,7 @@ from stillray.models_spec.loader import Temporal, Transfer
 from stillray.scratch import Scratch
 from stillray.strips import planes_of
 
-_REC709 = np.array([[0.2126, 0.7152, 0.0722, 0]], np.float32)
+_REC709 = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
 _ALBEDO = ("albedo.r", "albedo.g", "albedo.b")
 _NORMAL = ("normal.x", "normal.y", "normal.z")
 _PREVIOUS = ("previous.r", "previous.g", "previous.b")
@@ -22,13 +22,14 @@ _BLOCK = 8  # pixels: blocks whose means give the frame's typical irradiance
 
 def luminance(irradiance: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
     """Rec. 709 luminance of an ``(h, w, 3)`` image, or of ``(h, w, 4)`` irradiance and samples."""
-    weights = _REC709[:, : irradiance.shape[2]]
-    return cv2.transform(irradiance, weights, dst=out)
+    if irradiance.shape[2] == 4:  # of three channels OpenCV transforms several pixels at once
+        irradiance = cv2.cvtColor(irradiance, cv2.COLOR_RGBA2RGB)
+    return cv2.transform(irradiance, _REC709, dst=out)
 
 
 def luminance_of_planes(planes: np.ndarray, out: np.ndarray) -> np.ndarray:
     """`luminance` of ``(3 or more, h, w)`` into ``out`` of ``(h, w)``."""
-    red, green, blue = map(float, _REC709[0, :3])
+    red, green, blue = map(float, _REC709[0])
     cv2.addWeighted(planes[0], red, planes[1], green, 0, dst=out)
     return cv2.scaleAdd(planes[2], blue, out, dst=out)
 

@@ -7,6 +7,7 @@ box sums, ``sum(exp(I) r) / sum(exp(I))``, and a box sum is separable.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import cv2
 import numpy as np
@@ -134,23 +135,31 @@ def filter_planes(
         bounded_exp(logits[index, rows], options.logit_bound, importance)
         if options.weigh_samples:
             importance *= samples[rows]
-        # Normalised kernels keep sums of large radiance finite. sepFilter2D adds each window
-        # anew: boxFilter's running sums keep a residue of every firefly that has passed, which
-        # drowns darker windows (and it is no faster here).
-        kernel = np.full(size, 1 / size, np.float32)
         bounded_exp(logits[count + index, inner], options.logit_bound, share)
         alpha_sum += share
-        share /= _box(importance, kernel, box)[own]
+        share /= box_means(importance, size, box)[own]
         for plane, sums in zip(planes, total, strict=True):
             np.multiply(importance, plane[rows], out=product)
-            cv2.accumulateProduct(_box(product, kernel, box)[own], share, sums)
+            cv2.accumulateProduct(box_means(product, size, box)[own], share, sums)
     total /= alpha_sum
     return total
 
 
-def _box(plane: np.ndarray, kernel: np.ndarray, out: np.ndarray) -> np.ndarray:
+def box_means(plane: np.ndarray, size: int, out: np.ndarray) -> np.ndarray:
+    """Means over windows of ``size`` x ``size``, zeros outside; written to ``out``, which returns.
+
+    Means and not sums, so that those of large radiance stay finite. Each window is added anew:
+    running sums, as ``cv2.boxFilter`` has them, keep a residue of every firefly that has passed,
+    which drowns darker windows (and are no faster here).
+    """
+    kernel = _mean_kernel(size)
     border = cv2.BORDER_CONSTANT
     return cv2.sepFilter2D(plane, cv2.CV_32F, kernel, kernel, dst=out, borderType=border)
+
+
+@cache
+def _mean_kernel(size: int) -> np.ndarray:
+    return np.full(size, 1 / size, np.float32)
 
 
 def bounded_exp(logits: np.ndarray, bound: float, out: np.ndarray) -> None:

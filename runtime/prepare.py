@@ -16,7 +16,7 @@ from stillray.frame import Frame
 from stillray.models_spec.loader import ModelSpec
 from stillray.repair import Buffers
 from stillray.scratch import Scratch
-from stillray.silhouettes import motion_of_edges
+from stillray.silhouettes import follow_nearer
 from stillray.strips import Strips, interleave, planes_of, with_halo
 from stillray.timing import timed, timed_pass
 
@@ -53,6 +53,8 @@ class History:
         The last output, see `stillray.recall.remember`; None for models that take none.
     divisor : (h, w, 4) float32 or None
         See `stillray.antialias`; None for models that use this frame's alone.
+    divisor_samples
+        Frames that the ``divisor`` holds.
     layers
         By name, the past of layers that are filtered as the beauty is.
     """
@@ -62,6 +64,7 @@ class History:
     exposure: float
     output: np.ndarray | None = None
     divisor: np.ndarray | None = None
+    divisor_samples: float = 0.0
     layers: Mapping[str, LayerPast] = field(default_factory=dict)
 
 
@@ -83,15 +86,20 @@ class Prepared:
     modulator : (h, w, 3) float32 or None
         What the result is multiplied by: ``divisor``, or its mean over frames.
     local : (h, w) float32
-        Tone-mapped local luminance of the accumulated irradiance.
+        Tone-mapped local luminance: of the accumulated irradiance, if the network asks for it.
     albedo, normal, depth
         The frame's, repaired.
     depth_unit
         Scale of the depth feature.
     motion : (h, w, 2) float32 or None
         The frame's, finite; in mirrors that of what they show, see `stillray.mirror`.
-    picture_motion : (h, w, 2) float32 or None
-        By which past pictures are followed, see `stillray.silhouettes`; None without a past.
+    picture_positions : (h, w, 2) float32 or None
+        Where the pixels' picture was in the last one: x and y by their motion, but at silhouettes
+        by that of the nearer surface, see `stillray.silhouettes`. None where nothing moves, or
+        without a past, or where nobody looks at past pictures.
+    fresh : (h, w) uint8 or None
+        1 where a pixel holds this frame's sample alone; None without a past, or where nobody looks
+        at past outputs.
     """
 
     history: History
@@ -105,7 +113,8 @@ class Prepared:
     depth: np.ndarray | None
     depth_unit: float
     motion: np.ndarray | None
-    picture_motion: np.ndarray | None
+    picture_positions: np.ndarray | None = None
+    fresh: np.ndarray | None = None
 
 
 def prepare(
@@ -117,6 +126,7 @@ def prepare(
     *,
     temporal: bool = True,
     wants_sample: bool = False,
+    recalls: bool = False,
     kept: Scratch | None = None,
     spare: History | None = None,
 ) -> Prepared:
@@ -138,6 +148,8 @@ def prepare(
         Whether a next frame will want this one's geometry.
     wants_sample
         Whether the result's ``sample`` is wanted.
+    recalls
+        Whether the previous output is looked at, so that the result must say where.
     kept
         Where the result lies, all but its history, until the next call with the same; None for
         arrays of its own.
@@ -176,22 +188,33 @@ def prepare(
     mean = np.empty((*shape, 4), np.float32) if spare is None else spare.mean
     moves = history is not None and buffers.motion is not None
     sample = kept.array("sample", (*shape, 4)) if wants_sample and moves else None
-    accumulated = kept.array("accumulated", shape) if moves else luminance
-    rough = None
+    fresh = kept.array("fresh", shape, np.uint8) if recalls and moves else None
+    wants_local = moves and "local_luminance" in spec.network.features
+    accumulated = kept.array("accumulated", shape) if wants_local else None
+    averages = temporal and divide_by is not None and spec.temporal.albedo_samples > 0
+    before = history.divisor if averages and history is not None and moves else None
+    looks_back = recalls or before is not None
+    rough = positions = None
     if history is not None and buffers.motion is not None:
         with timed(timings, "warp"):
-            if guides is not None and history.guides is not None and buffers.motion.any():
+            if buffers.motion.any():
+                positions = kept.array("positions", buffers.motion.shape)
+            if guides is not None and history.guides is not None and positions is not None:
                 rough = rough_blocks(history.guides, strips, kept)
 
     def warp(rows: slice, motion: np.ndarray, past: History, scratch: Scratch) -> np.ndarray:
-        positions: np.ndarray | None = None
-        if motion[rows].any():
-            out = scratch.array("positions", motion[rows].shape)
-            positions = rep.positions_of(motion[rows], rows, out)
+        at: np.ndarray | None = None
+        if positions is not None:
+            at = rep.positions_of(motion[rows], rows, positions[rows])
         now = None if guides is None else guides[rows]
-        return rep.reproject(
-            past.mean, past.guides, rough, now, positions, rows, spec.temporal, scratch
+        # many a camera stands still, and only things move
+        follows = at if motion[rows].any() else None
+        warped = rep.reproject(
+            past.mean, past.guides, rough, now, follows, rows, spec.temporal, scratch
         )
+        if at is not None and looks_back and buffers.depth is not None:
+            follow_nearer(at, motion, buffers.depth, rows, scratch)
+        return warped
 
     def accumulate(rows: slice, past: np.ndarray | None, scratch: Scratch) -> None:
         planes: np.ndarray | None = None
@@ -219,7 +242,10 @@ def prepare(
             cv2.merge([irradiance, weight], dst=sample[rows])
         acc.accumulate(irradiance, weight, planes, spec.temporal, scratch)
         interleave(planes, out=mean[rows])
-        encode.luminance_of_planes(planes, out=accumulated[rows])
+        if fresh is not None:
+            np.less_equal(planes[3], weight, out=fresh[rows].view(bool))
+        if accumulated is not None:
+            encode.luminance_of_planes(planes, out=accumulated[rows])
 
     with timed_pass(timings) as part:
 
@@ -241,28 +267,31 @@ def prepare(
                 accumulate(rows, past, scratch)
 
         strips.run(work, *shape)
-    if moves:
+    if accumulated is not None:
         with timed(timings, "accumulate"):
             _local_luminance(accumulated, exposure, local, spec, strips)
-    modulator, remembered, picture_motion = divide_by, None, None
-    if history is not None and buffers.motion is not None:
-        with timed(timings, "warp"):
-            out = kept.array("picture motion", buffers.motion.shape)
-            picture_motion = motion_of_edges(buffers.motion, buffers.depth, strips, out)
-    if temporal and divide_by is not None and spec.temporal.albedo_samples > 0:
+    modulator, remembered, samples = divide_by, None, 0.0
+    if averages and divide_by is not None:
         remembered = None if spare is None else spare.divisor
         remembered = np.empty((*shape, 4), np.float32) if remembered is None else remembered
-        before = None if history is None else history.divisor
-        if before is None or picture_motion is None:
+        if before is None or history is None:
             antialias.begin(divide_by, remembered)
         else:
             with timed(timings, "antialias"):
+                samples = min(history.divisor_samples, spec.temporal.albedo_samples)
                 modulator = kept.array("modulator", divide_by.shape)
                 antialias.accumulate(
-                    divide_by, before, picture_motion, spec.temporal, remembered, modulator, strips
+                    divide_by, before, samples, positions, remembered, modulator, strips
                 )
+        samples += 1
     return Prepared(
-        history=History(mean=mean, guides=guides, exposure=exposure, divisor=remembered),
+        history=History(
+            mean=mean,
+            guides=guides,
+            exposure=exposure,
+            divisor=remembered,
+            divisor_samples=samples,
+        ),
         sample=sample,
         luminance=luminance,
         divisor=divide_by,
@@ -273,7 +302,8 @@ def prepare(
         depth=buffers.depth,
         depth_unit=depth_unit,
         motion=buffers.motion,
-        picture_motion=picture_motion,
+        picture_positions=positions if looks_back else None,
+        fresh=fresh,
     )
 
 

@@ -16,7 +16,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from stillray.kernels import bounded_exp
+from stillray.kernels import bounded_exp, box_means
 from stillray.models_spec.loader import ModelSpec, PyramidKernels, PyramidNetwork
 from stillray.prepare import Prepared
 from stillray.resample import halve
@@ -103,13 +103,9 @@ class Blocks:
         whole = self._strips.scratch.array(name, (count, height, 2, width, 2))
         for line, column in np.ndindex(2, 2):
             whole[:, :, line, :, column] = blocks[:, line, column]
-        first = rows.start % 2
-        return whole.reshape(count, 2 * height, 2 * width)[:, first : first + _length(rows)]
-
-
-def _length(rows: slice) -> int:
-    length: int = rows.stop - rows.start
-    return length
+        first, length = rows.start % 2, rows.stop - rows.start
+        part_of_rows: np.ndarray = whole.reshape(count, 2 * height, 2 * width)
+        return part_of_rows[:, first : first + length]
 
 
 def multiple(spec: ModelSpec) -> int:
@@ -241,15 +237,13 @@ def _filtered(
         pyramid.append(_pool(pyramid[-1], maps[level], pool, options, strips))
     coarser: np.ndarray | None = None
     for level in reversed(range(1, levels)):
-        coarser = _double(
-            _blended(
-                pyramid[level],
-                coarser,
-                maps[level],
-                level_layout(level, levels, options),
-                options,
-                strips,
-            )
+        coarser = _blended(
+            pyramid[level],
+            coarser,
+            maps[level],
+            level_layout(level, levels, options),
+            options,
+            strips,
         )
     image = np.empty((height, width, 3), np.float32)
 
@@ -393,8 +387,8 @@ def _blend(
         Which rows of the level.
     planes : (4, h, w) float32
         Light and samples of the whole level.
-    coarser : (3, h, w) float32 or None
-        The coarser level at this level's size; None at the coarsest.
+    coarser : (3, h / 2, w / 2) float32 or None
+        The whole coarser level; None at the coarsest.
     logits : (planes, h, w) float32
     layout, options
         Of the logits.
@@ -413,7 +407,7 @@ def _blend(
     if coarser is None:  # itself at logit 0, then the kernels
         np.copyto(out, planes[:3, rows])
     else:  # the coarser level at logit 0, then itself, then the kernels
-        np.copyto(out, coarser[:, rows])
+        _double(coarser, rows, out)
         own = others.pop(0)
         for plane, sums in zip(planes, out, strict=False):
             cv2.accumulateProduct(plane[rows], own, sums)
@@ -429,10 +423,10 @@ def _blend(
         importance = slice(index, index + 1)
         bounded_exp(logits[importance, near][0], options.logit_bound, weight)
         weight *= planes[3, near]
-        share /= _box(weight, size, box)[inner]
+        share /= box_means(weight, size, box)[inner]
         for plane, sums in zip(planes, out, strict=False):
             np.multiply(weight, plane[near], out=product)
-            cv2.accumulateProduct(_box(product, size, box)[inner], share, sums)
+            cv2.accumulateProduct(box_means(product, size, box)[inner], share, sums)
     np.reciprocal(normal, out=normal)
     for sums in out:
         sums *= normal
@@ -486,17 +480,12 @@ def _resolve(
     interleave(resolved, out=out)
 
 
-def _box(plane: np.ndarray, size: int, out: np.ndarray) -> np.ndarray:
-    # normalised, so that sums of large radiance stay finite; no running sums, see kernels.py
-    kernel = np.full(size, 1 / size, np.float32)
-    border = cv2.BORDER_CONSTANT
-    return cv2.sepFilter2D(plane, cv2.CV_32F, kernel, kernel, dst=out, borderType=border)
-
-
-def _double(planes: np.ndarray) -> np.ndarray:
-    """Twice the size, bilinear between pixel centres."""
-    count, height, width = planes.shape
-    doubled = np.empty((count, 2 * height, 2 * width), np.float32)
-    for plane, target in zip(planes, doubled, strict=True):
-        cv2.resize(plane, (2 * width, 2 * height), dst=target, interpolation=cv2.INTER_LINEAR)
-    return doubled
+def _double(planes: np.ndarray, rows: slice, out: np.ndarray) -> None:
+    """Rows of planes of twice the size, bilinear between pixel centres: ``(3, rows, 2 w)``."""
+    height, width = planes.shape[1:]
+    near, inner = with_halo(slice(rows.start // 2, -(-rows.stop // 2)), 1, height)
+    size = (2 * width, 2 * (near.stop - near.start))
+    first = 2 * inner.start + rows.start % 2
+    for plane, target in zip(planes, out, strict=True):
+        doubled = cv2.resize(plane[near], size, interpolation=cv2.INTER_LINEAR)
+        np.copyto(target, doubled[first : first + len(target)])

@@ -7,18 +7,20 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
+from stillray import encode
 from stillray.models_spec.loader import ModelSpec, PyramidKernels
 from stillray.prepare import History, Prepared
-from stillray.reproject import positions_of
 from stillray.scratch import Scratch
 from stillray.strips import Strips
 from stillray.timing import timed
 
+_AROUND, _FOUR = np.ones((3, 3), np.uint8), np.ones((2, 2), np.uint8)
 # Shares of the four taps that lie in the frame: below the first, light fades instead of being
 # normalised; above the second, only rounding is missing.
-_AROUND = np.ones((3, 3), np.uint8)
-_LONGEST = 1 << 14  # positions in a list: OpenCV takes no image of more than 32766 rows
 _LEAST_VALID, _WHOLE = np.float32(1e-3), np.float32(1 - 1e-3)
+# No division by 0; and the most that cubic convolution, limited to the four pixels around, can be
+# above their mean: one of them may have all the light and, 1/64 pixel off, 1/4096 of the weight.
+_DARK, _MOST = np.float32(1e-30), np.float32(4096)
 
 
 def recalled(
@@ -33,14 +35,14 @@ def recalled(
 
     It lies in ``kept`` if that is given, or in the history where nothing moves.
     """
-    motion = prepared.picture_motion
-    if history is None or history.output is None or motion is None:
+    if history is None or history.output is None or prepared.motion is None:
         return None
-    if history.output.shape[:2] != motion.shape[:2]:
+    if history.output.shape[:2] != prepared.motion.shape[:2]:
         return None
     with timed(timings, "recall"):
         out = None if kept is None else kept.array("recalled", history.output.shape)
-        past = recall(history.output, motion, strips, out, sharp=is_sharp(spec))
+        positions = prepared.picture_positions
+        past = recall(history.output, positions, strips, out, sharp=is_sharp(spec))
         return forget_uncovered(past, history.output, prepared)
 
 
@@ -58,13 +60,11 @@ def forget_uncovered(past: np.ndarray, output: np.ndarray, prepared: Prepared) -
     output : (h, w, 4) float32
         The last output, which belongs to the history; not changed.
     prepared
-        The frame, with its ``sample``; without that nothing is forgotten.
+        The frame; what is ``fresh`` in it had no past.
     """
-    if prepared.sample is None:
+    if prepared.fresh is None:
         return past
-    # what holds this frame's sample alone had no past
-    lost = prepared.history.mean[..., 3] <= prepared.sample[..., 3]
-    uncovered = cv2.morphologyEx(lost.view(np.uint8), cv2.MORPH_OPEN, _AROUND).view(bool)
+    uncovered = cv2.morphologyEx(prepared.fresh, cv2.MORPH_OPEN, _AROUND).view(bool)
     if not uncovered.any():
         return past
     if past is output:
@@ -86,13 +86,13 @@ def remember(image: np.ndarray, spare: History | None = None) -> np.ndarray:
 
 def recall(
     output: np.ndarray,
-    motion: np.ndarray,
+    positions: np.ndarray | None,
     strips: Strips,
     out: np.ndarray | None = None,
     *,
     sharp: bool = False,
 ) -> np.ndarray:
-    """Follow the motion back into the previous output.
+    """Look the previous output up where the pixels' picture was.
 
     No geometry is compared here: the edges of an output are smooth, as those of a photograph are,
     and the network decides by what it sees how much of the past a pixel keeps.
@@ -101,58 +101,49 @@ def recall(
     ----------
     output : (h, w, 4) float32
         See `remember`.
-    motion : (h, w, 2) float32
-        Pixels, finite.
+    positions : (h, w, 2) float32 or None
+        x and y, pixels, finite, see `stillray.prepare.Prepared`; None where nothing moves.
     strips
         Where the work runs.
     out : (h, w, 4) float32, optional
         Written and returned where something moves.
     sharp
-        Interpolate by cubic convolution (Keys 1981), limited to the range of the four pixels
-        around: a mean of four, frame after frame, would wash out every edge of a moving picture.
-        Positions are rounded to 1/32 pixel. Where one of the four is outside, bilinear.
+        Give each color the luminance that cubic convolution has there (Keys 1981, with the factor
+        -0.75 that OpenCV takes), limited to the range of the four pixels around: a mean of four,
+        frame after frame, would wash out every edge of a moving picture. Cubic convolution rounds
+        positions to 1/32 pixel. Where one of the four is outside, bilinear.
 
     Returns
     -------
     (h, w, 4) float32
         Radiance, and how much of it lay in the frame, [0, 1]; zeros outside.
     """
-    if not motion.any():
+    if positions is None:
         return output
-    height, width = motion.shape[:2]
-    past = np.empty((height, width, 4), np.float32) if out is None else out
+    past = np.empty((*positions.shape[:2], 4), np.float32) if out is None else out
+    light = _Luminance(output, strips) if sharp else None
 
     def work(rows: slice) -> None:
-        scratch, taken = strips.scratch, past[rows]
-        positions = scratch.array("positions", motion[rows].shape)
-        positions_of(motion[rows], rows, positions)
-        if not sharp:
-            _bilinear(output, positions, taken)
-            return
-        _cubic(output, positions, taken)
-        least, most = _range_around(output, positions, scratch)
-        cv2.min(cv2.max(taken, least, dst=taken), most, dst=taken)
-        if least[..., 3].min() < 1:
-            at = np.flatnonzero(least[..., 3] < 1)
-            for part in np.split(at, range(_LONGEST, at.size, _LONGEST)):
-                listed = positions.reshape(-1, 2)[part][:, None]
-                taken.reshape(-1, 4)[part] = _bilinear(output, listed)[:, 0]
+        taken, scratch = past[rows], strips.scratch
+        valid = _bilinear(output, positions[rows], taken, scratch)
+        if light is not None:
+            factor = light.sharpening(positions[rows], taken, valid, scratch)
+            _scale(taken, factor, scratch)
 
-    strips.run(work, height, width)
+    strips.run(work, *positions.shape[:2])
     return past
 
 
 def recall_of_layers(
-    output: np.ndarray, motion: np.ndarray, spec: ModelSpec, strips: Strips
+    output: np.ndarray, positions: np.ndarray | None, spec: ModelSpec, strips: Strips
 ) -> Callable[[np.ndarray], np.ndarray]:
     """How the previous outputs of layers are brought to the current pixels.
 
-    The limits of sharp interpolation depend on the light. Layers add up to the beauty only if they
-    go as far from linear to cubic interpolation as the beauty did, whatever they hold themselves.
+    Layers add up to the beauty only if they are sharpened as the beauty is, whatever they hold.
 
     Parameters
     ----------
-    output, motion, strips
+    output, positions, strips
         As for `recall`, of the beauty.
     spec
         Of the model.
@@ -162,18 +153,22 @@ def recall_of_layers(
     Callable
         From a layer's previous output, see `remember`, to what `recall` gives.
     """
-    if not is_sharp(spec) or not motion.any():
-        return lambda layer: recall(layer, motion, strips)
-    limited = recall(output, motion, strips, sharp=True)
-    linear, step = _linear_and_step(output, motion, strips)
-    shares = np.zeros_like(step)
-    np.divide(limited - linear, step, out=shares, where=step != 0)
-    np.clip(shares, 0, 1, out=shares)
+    if positions is None or not is_sharp(spec):
+        return lambda layer: recall(layer, positions, strips)
+    height, width = positions.shape[:2]
+    light, factor = _Luminance(output, strips), np.empty((height, width), np.float32)
+
+    def sharpening(rows: slice) -> None:
+        scratch = strips.scratch
+        taken = scratch.array("taken", (*factor[rows].shape, 4))
+        valid = _bilinear(output, positions[rows], taken, scratch)
+        factor[rows] = light.sharpening(positions[rows], taken, valid, scratch)
+
+    strips.run(sharpening, height, width)
 
     def follow(layer: np.ndarray) -> np.ndarray:
-        linear, step = _linear_and_step(layer, motion, strips)
-        linear += np.multiply(step, shares, out=step)
-        return linear
+        past = recall(layer, positions, strips)
+        return past * cv2.cvtColor(factor, cv2.COLOR_GRAY2RGBA)  # alpha of float images is 1
 
     return follow
 
@@ -183,59 +178,77 @@ def is_sharp(spec: ModelSpec) -> bool:
     return isinstance(spec.decoder, PyramidKernels) and spec.decoder.sharp_recall
 
 
-def _linear_and_step(
-    output: np.ndarray, motion: np.ndarray, strips: Strips
-) -> tuple[np.ndarray, np.ndarray]:
-    """Linear interpolation of a whole output, and the step from there to cubic interpolation."""
-    linear, step = np.empty_like(output), np.empty_like(output)
+class _Luminance:
+    """An output's luminance, and the range of each 2x2 pixels from the top left one.
 
-    def work(rows: slice) -> None:
-        positions = positions_of(motion[rows], rows)
-        _bilinear(output, positions, linear[rows])
-        _cubic(output, positions, step[rows])
-        step[rows] -= linear[rows]
+    Lies in the calling thread's scratch arrays until the next one is made.
+    """
 
-    strips.run(work, *motion.shape[:2])
-    return linear, step
+    def __init__(self, output: np.ndarray, strips: Strips) -> None:
+        height, width = output.shape[:2]
+        scratch = strips.scratch
+        self._values, self._least, self._most = (
+            scratch.array(f"luminance, {name}", (height, width))
+            for name in ("values", "least", "most")
+        )
+
+        def work(rows: slice) -> None:
+            below = slice(rows.start, min(rows.stop + 1, height))
+            shape = output[below].shape[:2]
+            values = encode.luminance(output[below], out=strips.scratch.array("values", shape))
+            count = rows.stop - rows.start
+            self._values[rows] = values[:count]
+            for limit, extremes in ((cv2.erode, self._least), (cv2.dilate, self._most)):
+                extremes[rows] = limit(values, _FOUR, anchor=(0, 0))[:count]
+
+        strips.run(work, height, width)
+
+    def sharpening(
+        self, positions: np.ndarray, taken: np.ndarray, valid: np.ndarray, scratch: Scratch
+    ) -> np.ndarray:
+        """What makes linear interpolation as sharp as cubic convolution: a factor, ``(h, w)``.
+
+        Parameters
+        ----------
+        positions : (h, w, 2) float32
+        taken, valid
+            What `_bilinear` gave.
+        scratch
+            Where the result lies.
+        """
+        border, shape = cv2.BORDER_REPLICATE, valid.shape
+        sharp, limit, linear = (scratch.array(name, shape) for name in ("sharp", "limit", "linear"))
+        cv2.remap(self._values, positions, None, cv2.INTER_CUBIC, sharp, border)
+        corner = np.floor(positions, out=scratch.array("corner", positions.shape))
+        for limited, extremes in ((cv2.max, self._least), (cv2.min, self._most)):
+            cv2.remap(extremes, corner, None, cv2.INTER_NEAREST, limit, border)
+            limited(sharp, limit, dst=sharp)
+        encode.luminance(taken, out=linear)
+        np.maximum(linear, _DARK, out=linear)
+        np.maximum(sharp, _DARK, out=sharp)
+        with np.errstate(over="ignore"):
+            np.divide(sharp, linear, out=sharp)
+        np.minimum(sharp, _MOST, out=sharp)
+        if valid.min() < _WHOLE:
+            sharp[valid < _WHOLE] = 1
+        return sharp
+
+
+def _scale(taken: np.ndarray, factor: np.ndarray, scratch: Scratch) -> None:
+    # alpha of float images is 1: what lay in the frame stays as it is
+    factors = cv2.cvtColor(factor, cv2.COLOR_GRAY2RGBA, dst=scratch.array("four", taken.shape))
+    cv2.multiply(taken, factors, dst=taken)
 
 
 def _bilinear(
-    output: np.ndarray, positions: np.ndarray, taken: np.ndarray | None = None
+    output: np.ndarray, positions: np.ndarray, taken: np.ndarray, scratch: Scratch
 ) -> np.ndarray:
-    """Means of the taps that there are; the last channel says how much of them lay in the frame."""
-    border = cv2.BORDER_CONSTANT
+    """Fill means of the taps that there are; the result says how much of them lay in the frame."""
     # exact at four channels; for some other counts OpenCV rounds positions to 1/32 pixel
-    taken = cv2.remap(output, positions, None, cv2.INTER_LINEAR, taken, border, 0)
-    valid = cv2.extractChannel(taken, 3)
+    cv2.remap(output, positions, None, cv2.INTER_LINEAR, taken, cv2.BORDER_CONSTANT, 0)
+    valid = cv2.extractChannel(taken, 3, dst=scratch.array("valid", taken.shape[:2]))
     if valid.min() < _WHOLE:
-        down, right = np.nonzero((valid > 0) & (valid < _WHOLE))
-        share = np.maximum(valid[down, right], _LEAST_VALID)
-        taken[down, right, :3] /= share[:, None]
-    return taken
-
-
-def _cubic(
-    output: np.ndarray, positions: np.ndarray, taken: np.ndarray | None = None
-) -> np.ndarray:
-    return cv2.remap(output, positions, None, cv2.INTER_CUBIC, taken, cv2.BORDER_REPLICATE)
-
-
-def _range_around(
-    output: np.ndarray, positions: np.ndarray, scratch: Scratch
-) -> tuple[np.ndarray, np.ndarray]:
-    """Least and most of the four pixels around each position; zeros lie outside of the frame."""
-    shape = (*positions.shape[:2], 4)
-    least, most, tap = (scratch.array(name, shape) for name in ("least", "most", "tap"))
-    corner = np.floor(positions, out=scratch.array("corner", positions.shape))
-    _nearest(output, corner, least)
-    np.copyto(most, least)
-    for axis, step in ((0, 1), (1, 1), (0, -1)):
-        corner[..., axis] += step
-        _nearest(output, corner, tap)
-        cv2.min(least, tap, dst=least)
-        cv2.max(most, tap, dst=most)
-    return least, most
-
-
-def _nearest(output: np.ndarray, positions: np.ndarray, taken: np.ndarray) -> None:
-    cv2.remap(output, positions, None, cv2.INTER_NEAREST, taken, cv2.BORDER_CONSTANT, 0)
+        at = np.flatnonzero(valid < _WHOLE)
+        share = np.maximum(np.take(valid, at), _LEAST_VALID)  # nothing is 0, whatever divides it
+        taken.reshape(-1, 4)[at, :3] /= share[:, None]
+    return valid

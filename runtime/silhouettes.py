@@ -5,20 +5,22 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stillray.strips import Strips, with_halo
+from stillray.scratch import Scratch
+from stillray.strips import with_halo
 
 _NEARER = np.float32(0.98)  # share of a pixel's depth below which a neighbour hides it
 _FAR = np.float32(1e30)  # depth of background
 _AROUND = np.ones((3, 3), np.uint8)
+# Any 3x3 pixels differ in their row modulo 3 or their column modulo 3. Those stand in the last four
+# bits of a depth, a millionth of it, so that the least of nine depths tells whose it is.
+_PLACE, _COLUMN = 15, 3
+_STEP = np.array([1, -1, 0, 1, -1], np.intp)  # to a neighbour, by the difference of both + 2
 
 
-def motion_of_edges(
-    motion: np.ndarray,
-    depth: np.ndarray | None,
-    strips: Strips,
-    out: np.ndarray | None = None,
-) -> np.ndarray:
-    """Motion by which a past picture is followed: at silhouettes, that of the nearer surface.
+def follow_nearer(
+    positions: np.ndarray, motion: np.ndarray, depth: np.ndarray, rows: slice, scratch: Scratch
+) -> None:
+    """At silhouettes, let a picture come from where the nearer surface was.
 
     There a picture is a mean of what is in front and what is behind, and moves with what is in
     front; a frame's sample is of one of both, by chance, and so is its motion (Karis 2014, *High
@@ -26,55 +28,45 @@ def motion_of_edges(
 
     Parameters
     ----------
+    positions : (rows, w, 2) float32
+        Where the pixels of some rows were, see `stillray.reproject.positions_of`. Changed where the
+        nearest of the 3x3 pixels around is clearly nearer: by that one's motion.
     motion : (h, w, 2) float32
-        Pixels.
-    depth : (h, w) float32 or None
-        0 where nothing was hit; None: the motion as it is.
-    strips
-        Where the work runs.
-    out : (h, w, 2) float32, optional
-        Written and returned where some pixel goes with another.
-
-    Returns
-    -------
-    (h, w, 2) float32
-        Each pixel's own, or that of the nearest of the 3x3 pixels around if that is clearly
-        nearer; the argument itself where none is.
+        Of the whole frame, pixels, finite.
+    depth : (h, w) float32
+        Of the whole frame; 0 where nothing was hit.
+    rows
+        Which rows of the frame they are.
+    scratch
+        Where temporaries lie.
     """
-    if depth is None:
-        return motion
     height, width = depth.shape
-
-    def silhouettes(rows: slice) -> tuple[np.ndarray, np.ndarray]:
-        """Which pixels of some rows go with a neighbour, and with which, as flat indices."""
-        scratch = strips.scratch
-        # with a border of pixels that hide nothing
-        shape = (rows.stop - rows.start + 2, width + 2)
-        around, nearest = scratch.array("around", shape), scratch.array("nearest", shape)
-        around.fill(_FAR)
-        near, inner = with_halo(rows, 1, height)
-        first = 1 - inner.start
-        seen = around[first : first + near.stop - near.start, 1:-1]
-        np.copyto(seen, depth[near])
-        if seen.min() <= 0:
-            seen[seen <= 0] = _FAR
-        cv2.erode(around, _AROUND, dst=nearest)
-        own = around[1:-1, 1:-1]
-        hidden = nearest[1:-1, 1:-1] < own * _NEARER
-        row, column = np.divmod(np.flatnonzero(hidden), width)
-        steps = np.add.outer(np.arange(3) * shape[1], np.arange(3)).ravel()
-        candidates = np.add.outer(row * shape[1] + column, steps)
-        step = np.take(around.reshape(-1), candidates).argmin(axis=1)
-        at = (row + rows.start) * width + column
-        return at, at + (step // 3 - 1) * width + step % 3 - 1
-
-    parts = strips.run(silhouettes, height, width)
-    if not any(len(at) for at, _ in parts):
-        return motion
-    followed = np.empty((height, width, 2), np.float32) if out is None else out
-    np.copyto(followed, motion)
+    near, inner = with_halo(rows, 1, height)
+    around = scratch.array("around", depth[near].shape)
+    nearest = scratch.array("nearest", around.shape)
+    np.copyto(around, depth[near])
+    if around.min() <= 0:
+        around[around <= 0] = _FAR
+    bits = around.view(np.int32)
+    bits &= ~_PLACE
+    bits |= np.arange(width, dtype=np.int32) % 3
+    bits |= (np.arange(len(around), dtype=np.int32) % 3 << 2)[:, None]
+    cv2.erode(around, _AROUND, dst=nearest)
+    hidden = nearest[inner] < around[inner] * _NEARER
+    at = np.flatnonzero(hidden)
+    own, other = (
+        np.take(depths[inner].reshape(-1), at).view(np.int32) & _PLACE
+        for depths in (around, nearest)
+    )
+    down = _STEP[(other >> 2) - (own >> 2) + 2]
+    right = _STEP[(other & _COLUMN) - (own & _COLUMN) + 2]
+    row, column = np.divmod(at + rows.start * width, width)
     # two floats as one element: NumPy then picks and puts pixels faster
-    pixels = np.ascontiguousarray(motion).reshape(-1).view(np.complex64)
-    for at, neighbour in parts:
-        followed.reshape(-1).view(np.complex64)[at] = pixels[neighbour]
-    return followed
+    place = np.take(_pixels(motion), (row + down) * width + column + right)
+    place.real += column
+    place.imag += row
+    _pixels(positions)[at] = place
+
+
+def _pixels(image: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(image).reshape(-1).view(np.complex64)

@@ -205,14 +205,20 @@ def _reproject(given: Inputs) -> float:
     return _relative(got, wanted)
 
 
+def _positions(given: Inputs, steps: int) -> np.ndarray:
+    """Where each pixel was, rounded to so many steps a pixel."""
+    motion = np.round(given["at"] * steps) / np.float32(steps)
+    return reproject.positions_of(motion, slice(0, motion.shape[0]))
+
+
 def _recall(given: Inputs) -> float:
     output = recall.remember(given["past"])
-    motion = np.round(given["at"] * 256) / np.float32(256)
-    got = recall.recall(output, motion, _STRIPS)
+    positions = _positions(given, 256)
+    got = recall.recall(output, positions, _STRIPS)
     height, width = output.shape[:2]
     wanted = np.zeros(output.shape)
     for y, x in np.ndindex(height, width):
-        at_x, at_y = x + float(motion[y, x, 0]), y + float(motion[y, x, 1])
+        at_x, at_y = map(float, positions[y, x])
         left, top = int(np.floor(at_x)), int(np.floor(at_y))
         for ty, tx in ((top, left), (top, left + 1), (top + 1, left), (top + 1, left + 1)):
             if 0 <= ty < height and 0 <= tx < width:
@@ -225,19 +231,20 @@ def _recall(given: Inputs) -> float:
 
 def _antialias(given: Inputs) -> float:
     by = demodulate.divisor(given["albedo"], SPEC.demodulate)
-    past = np.dstack([demodulate.divisor(given["before"], SPEC.demodulate), given["held"]])
-    motion = np.round(given["at"] * 256) / np.float32(256)
+    before = demodulate.divisor(given["before"], SPEC.demodulate)
+    past, positions = recall.remember(before), _positions(given, 256)
+    samples = SPEC.temporal.albedo_samples
     got, picture = np.empty_like(past), np.empty_like(by)
-    antialias.accumulate(by, past, motion, SPEC.temporal, got, picture, _STRIPS)
-    wanted, _ = oracles.antialiased(by, past, motion, SPEC.temporal.albedo_samples)
+    antialias.accumulate(by, past, samples, positions, got, picture, _STRIPS)
+    wanted, _ = oracles.antialiased(by, past, samples, positions)
     return _relative(got, wanted)
 
 
 def _sharp_recall(given: Inputs) -> float:
     output = recall.remember(given["past"])
-    motion = np.round(given["at"] * 32) / np.float32(32)  # what it rounds to itself
-    got = recall.recall(output, motion, _STRIPS, sharp=True)
-    wanted, brightest = oracles.sharp_recall(output, motion)
+    positions = _positions(given, 32)  # what cubic convolution rounds to itself
+    got = recall.recall(output, positions, _STRIPS, sharp=True)
+    wanted, brightest = oracles.sharp_recall(output, positions)
     return float((np.abs(got - wanted).max(-1) / np.maximum(brightest, 1e-30)).max())
 
 

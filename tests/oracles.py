@@ -86,62 +86,63 @@ def cubic_weight(distance: float) -> float:
 
 
 def antialiased(
-    divisor: np.ndarray, past: np.ndarray, motion: np.ndarray, most_samples: float
+    divisor: np.ndarray, past: np.ndarray, samples: float, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """What `stillray.antialias.accumulate` remembers and multiplies by, pixel by pixel."""
     height, width = divisor.shape[:2]
-    result, modulator = np.zeros((height, width, 4)), np.zeros((height, width, 3))
+    result, modulator = np.ones((height, width, 4)), np.zeros((height, width, 3))
     for y, x in np.ndindex(height, width):
-        at_x, at_y = x + float(motion[y, x, 0]), y + float(motion[y, x, 1])
+        at_x, at_y = map(float, positions[y, x])
         left, top = int(np.floor(at_x)), int(np.floor(at_y))
-        brought = np.zeros(4)
+        brought, inside = np.zeros(3), 0.0
         for ty, tx in itertools.product((top, top + 1), (left, left + 1)):
-            weight = (1 - abs(at_y - ty)) * (1 - abs(at_x - tx))
-            near = past[min(max(ty, 0), height - 1), min(max(tx, 0), width - 1)]
-            brought += weight * near.astype(np.float64)
+            if 0 <= ty < height and 0 <= tx < width:
+                weight = (1 - abs(at_y - ty)) * (1 - abs(at_x - tx))
+                brought += weight * past[ty, tx, :3].astype(np.float64)
+                inside += weight
         around = divisor[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].reshape(-1, 3)
-        mean = np.clip(brought[:3], around.min(0), around.max(0))
-        held = np.clip(brought[3], 0, most_samples)
+        mean = np.clip(brought, around.min(0), around.max(0))
         no_albedo = (around >= 1).all(1)
-        if not (0 <= at_x <= width - 1 and 0 <= at_y <= height - 1):
-            held = 0
+        held = samples if inside >= 1 - 1e-3 else 0
         result[y, x, :3] = modulator[y, x] = (held * mean + divisor[y, x]) / (held + 1)
-        result[y, x, 3] = held + 1
         if no_albedo.any() and not no_albedo.all():
             modulator[y, x] = np.minimum(modulator[y, x], divisor[y, x])
     return result, modulator
 
 
-def sharp_recall(output: np.ndarray, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def sharp_recall(output: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`stillray.recall.recall`, sharp, pixel by pixel; and the brightest of the pixels it meets.
 
-    Cubic convolution, limited to the range of the four pixels around; the mean of those in the
-    frame where they are not all.
+    The mean of the four pixels around, with the luminance of cubic convolution, limited to the
+    range of the four; the mean alone of those in the frame where they are not all.
     """
     (height, width), values = output.shape[:2], output.astype(np.float64)
+    light = values[..., :3] @ (0.2126, 0.7152, 0.0722)
     result, brightest = np.zeros(values.shape), np.zeros((height, width))
 
+    def nearest(y: int, x: int) -> tuple[int, int]:
+        return min(max(y, 0), height - 1), min(max(x, 0), width - 1)
+
     for y, x in np.ndindex(height, width):
-        at_x, at_y = x + float(motion[y, x, 0]), y + float(motion[y, x, 1])
+        at_x, at_y = map(float, positions[y, x])
         left, top = int(np.floor(at_x)), int(np.floor(at_y))
         taps = [(top + a, left + b) for a in (0, 1) for b in (0, 1)]
-        inside = [0 <= p[0] < height and 0 <= p[1] < width for p in taps]
-        if all(inside):
-            around = np.array([values[p] for p in taps])
-            for ty in range(top - 1, top + 3):
-                for tx in range(left - 1, left + 3):
-                    near = values[min(max(ty, 0), height - 1), min(max(tx, 0), width - 1)]
-                    result[y, x] += cubic_weight(at_y - ty) * cubic_weight(at_x - tx) * near
-                    brightest[y, x] = max(brightest[y, x], near[:3].max())
-            result[y, x] = np.clip(result[y, x], around.min(0), around.max(0))
-            continue
-        for p, there in zip(taps, inside, strict=True):
-            if there:
+        for p in taps:
+            if 0 <= p[0] < height and 0 <= p[1] < width:
                 share = (1 - abs(at_y - p[0])) * (1 - abs(at_x - p[1]))
                 result[y, x] += share * values[p]
                 brightest[y, x] = max(brightest[y, x], values[p][:3].max())
-        if result[y, x, 3] > 0:
+        if result[y, x, 3] < 1 - 1e-3:
             result[y, x, :3] /= max(result[y, x, 3], 1e-3)  # below, light fades
+            continue
+        cubic, around = 0.0, [light[nearest(*p)] for p in taps]
+        for ty, tx in itertools.product(range(top - 1, top + 3), range(left - 1, left + 3)):
+            near = nearest(ty, tx)
+            cubic += cubic_weight(at_y - ty) * cubic_weight(at_x - tx) * light[near]
+            brightest[y, x] = max(brightest[y, x], values[near][:3].max())
+        linear = result[y, x, :3] @ (0.2126, 0.7152, 0.0722)
+        if linear > 0:
+            result[y, x, :3] *= np.clip(cubic, min(around), max(around)) / linear
     return result, brightest
 
 

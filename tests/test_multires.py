@@ -44,7 +44,7 @@ def _prepared(mean, divisor=None):
     return Prepared(
         history=History(mean=mean, guides=None, exposure=1.0),
         sample=None, luminance=nothing, divisor=None, modulator=divisor, local=nothing,
-        albedo=None, normal=None, depth=None, depth_unit=1.0, motion=None, picture_motion=None,
+        albedo=None, normal=None, depth=None, depth_unit=1.0, motion=None,
     )  # fmt: skip
 
 

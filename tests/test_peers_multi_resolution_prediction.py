@@ -47,7 +47,7 @@ def run(mean, logits, decoder=DECODER, threads=1, divisor=None):
     prepared = Prepared(
         history=History(mean=mean, guides=None, exposure=1.0),
         sample=None, luminance=nothing, divisor=None, modulator=divisor, local=nothing,
-        albedo=None, normal=None, depth=None, depth_unit=1.0, motion=None, picture_motion=None,
+        albedo=None, normal=None, depth=None, depth_unit=1.0, motion=None,
     )  # fmt: skip
     spec = dataclasses.replace(SPEC, decoder=decoder)
     return reconstruct(prepared, None, logits, spec, Strips(threads), {})

@@ -125,7 +125,13 @@ def previous_outputs(sequence: Path, model: Path, strips: Strips) -> list[np.nda
             for frame in frames[-count:-1]:
                 denoiser.denoise(frame)
             prepared = prepare(
-                frames[-1], denoiser.model.spec, denoiser.history, strips, {}, wants_sample=True
+                frames[-1],
+                denoiser.model.spec,
+                denoiser.history,
+                strips,
+                {},
+                wants_sample=True,
+                recalls=True,
             )
             previous = recalled(denoiser.history, prepared, denoiser.model.spec, strips, {})
             remembered.append(
