@@ -17,7 +17,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stillray.strips import Strips, with_halo
+from stillray.strips import Strips, pixels_of, with_halo
 
 _AROUND = np.ones((3, 3), np.uint8)
 _SUM = np.ones((1, 3), np.float32)
@@ -87,8 +87,8 @@ def accumulate(
             cv2.remap(past, positions[rows], None, cv2.INTER_LINEAR, mean, border, 0)
             inside = cv2.extractChannel(mean, 3, dst=scratch.array("inside", mean.shape[:2]))
             if inside.min() < _WHOLE:
-                outside = inside < _WHOLE
-                mean[outside] = now[outside]
+                outside = np.flatnonzero(inside < _WHOLE)
+                pixels_of(mean)[outside] = np.take(pixels_of(now), outside)
         cv2.max(mean, least[inner], dst=mean)
         cv2.min(mean, most[inner], dst=mean)
         cv2.addWeighted(mean, share, now, 1 - share, 0, dst=mean)
@@ -98,7 +98,8 @@ def accumulate(
             return
         none = (total >= 3).view(np.uint8)
         beside = (cv2.dilate(none, _AROUND) != cv2.erode(none, _AROUND))[inner]
-        own = divisor[rows][beside]
-        modulator[rows][beside] = np.minimum(modulator[rows][beside], own)
+        at = np.flatnonzero(beside)
+        own, mixed = divisor[rows].reshape(-1, 3), modulator[rows].reshape(-1, 3)
+        mixed[at] = np.minimum(np.take(mixed, at, axis=0), np.take(own, at, axis=0))
 
     strips.run(work, height, width, pixels=_STRIP_PIXELS)

@@ -27,7 +27,7 @@ _WINDOW = 7  # pixels at half resolution, over which past and present are compar
 # Another depth must bring the past this much nearer than the surface does: of noise alone, all
 # depths are as near as one another.
 _NEARER = np.float32(0.9)
-_SAMPLES = 4096  # pixels from which the camera's motion is learned
+_SAMPLES = 1024  # pixels from which the camera's motion is learned
 _LEAST_SAMPLES = 64
 _ROUNDS = 3  # of the fit: pixels that do not agree, as things that move, are left out of the next
 _AGREES = 0.25  # pixels of motion

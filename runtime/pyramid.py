@@ -265,8 +265,8 @@ def _filtered(
             strips.scratch,
         )
         if divisor is not None:
-            for channel in range(3):
-                padded[channel, filled, 1 : 1 + width] *= divisor[around, :, channel]
+            by = strips.scratch.array("by", (3, around.stop - around.start, width))
+            padded[:, filled, 1 : 1 + width] *= planes_of(divisor[around], out=by)
         padded = padded[:, :, : width + 2]
         padded[:, :, 0], padded[:, :, -1] = padded[:, :, 1], padded[:, :, -2]
         if rows.start == 0:
@@ -299,23 +299,23 @@ def _renewed(
     def work(rows: slice) -> None:
         scratch = strips.scratch
         shape = (rows.stop - rows.start, mean.shape[1])
-        part = planes_of(mean[rows], out=scratch.array("mean", (4, *shape)))
-        if sample is not None:
-            new = planes_of(sample[rows], out=scratch.array("new", (4, *shape)))
-            more, total = scratch.array("more", shape), scratch.array("total", shape)
-            bounded_exp(logits[renew, rows][0], options.logit_bound, more)
-            held = np.add(more, 1, out=scratch.array("held", shape))
-            more *= new[3]
-            np.add(part[3], more, out=total)
-            np.divide(total, held, out=held)
-            more /= total
-            # two products, since a difference would cancel where a firefly meets a dark past
-            part[3] /= total
-            for light, fresh in zip(part[:3], new, strict=False):
-                light *= part[3]
-                cv2.accumulateProduct(fresh, more, light)
-            part[3] = held
-        planes[:, rows] = part
+        past = planes_of(mean[rows], out=scratch.array("mean", (4, *shape)))
+        if sample is None:
+            planes[:, rows] = past
+            return
+        new = planes_of(sample[rows], out=scratch.array("new", (4, *shape)))
+        more, total = scratch.array("more", shape), scratch.array("total", shape)
+        bounded_exp(logits[renew, rows][0], options.logit_bound, more)
+        held = np.add(more, 1, out=scratch.array("held", shape))
+        more *= new[3]
+        np.add(past[3], more, out=total)
+        np.divide(total, held, out=planes[3, rows])
+        more /= total
+        rest = np.divide(past[3], total, out=total)
+        # two products, since a difference would cancel where a firefly meets a dark past
+        for light, fresh, target in zip(past, new, planes[:3, rows], strict=False):
+            np.multiply(light, rest, out=target)
+            cv2.accumulateProduct(fresh, more, target)
 
     strips.run(work, *mean.shape[:2])
     return planes

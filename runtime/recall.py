@@ -11,7 +11,7 @@ from stillray import encode
 from stillray.models_spec.loader import ModelSpec, PyramidKernels
 from stillray.prepare import History, Prepared
 from stillray.scratch import Scratch
-from stillray.strips import Strips
+from stillray.strips import Strips, pixels_of
 from stillray.timing import timed
 
 _AROUND, _FOUR = np.ones((3, 3), np.uint8), np.ones((2, 2), np.uint8)
@@ -64,12 +64,12 @@ def forget_uncovered(past: np.ndarray, output: np.ndarray, prepared: Prepared) -
     """
     if prepared.fresh is None:
         return past
-    uncovered = cv2.morphologyEx(prepared.fresh, cv2.MORPH_OPEN, _AROUND).view(bool)
-    if not uncovered.any():
+    uncovered = np.flatnonzero(cv2.morphologyEx(prepared.fresh, cv2.MORPH_OPEN, _AROUND))
+    if not uncovered.size:
         return past
     if past is output:
         past = past.copy()
-    past[uncovered] = 0
+    pixels_of(past)[uncovered] = 0
     return past
 
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from stillray.scratch import Scratch
-from stillray.strips import with_halo
+from stillray.strips import pixels_of, with_halo
 
 _NEARER = np.float32(0.98)  # share of a pixel's depth below which a neighbour hides it
 _FAR = np.float32(1e30)  # depth of background
@@ -61,12 +61,7 @@ def follow_nearer(
     down = _STEP[(other >> 2) - (own >> 2) + 2]
     right = _STEP[(other & _COLUMN) - (own & _COLUMN) + 2]
     row, column = np.divmod(at + rows.start * width, width)
-    # two floats as one element: NumPy then picks and puts pixels faster
-    place = np.take(_pixels(motion), (row + down) * width + column + right)
+    place = np.take(pixels_of(motion), (row + down) * width + column + right)
     place.real += column
     place.imag += row
-    _pixels(positions)[at] = place
-
-
-def _pixels(image: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(image).reshape(-1).view(np.complex64)
+    pixels_of(positions)[at] = place

@@ -115,10 +115,8 @@ def planes_of(image: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
     height, width, channels = image.shape
     if out is None:
         out = np.empty((channels, height, width), np.float32)
-    if channels == 4:  # as matrices, in half the time of cv2.split; not so for three channels
-        cv2.transpose(_flat(image), dst=out.reshape(4, -1))
-    else:
-        np.copyto(out, image.transpose(2, 0, 1))
+    # as matrices, in half the time of cv2.split
+    cv2.transpose(_flat(image), dst=out.reshape(channels, -1))
     return out
 
 
@@ -129,6 +127,15 @@ def interleave(planes: np.ndarray, out: np.ndarray) -> np.ndarray:
     else:
         cv2.merge(list(planes), dst=out)
     return out
+
+
+def pixels_of(image: np.ndarray) -> np.ndarray:
+    """The pixels of ``(h, w, 2)`` or ``(h, w, 4)`` float32, in C order, as ``h w`` single elements.
+
+    A view: NumPy picks and puts those many times faster than rows of a few floats.
+    """
+    kind = {2: np.complex64, 4: np.complex128}[image.shape[-1]]
+    return image.reshape(-1).view(kind)
 
 
 def _flat(image: np.ndarray) -> np.ndarray:
