@@ -27,7 +27,7 @@ def luminance(irradiance: np.ndarray, out: np.ndarray | None = None) -> np.ndarr
     return cv2.transform(irradiance, _REC709, dst=out)
 
 
-def luminance_of_planes(planes: Sequence[np.ndarray], out: np.ndarray) -> np.ndarray:
+def luminance_of_planes(planes: np.ndarray | Sequence[np.ndarray], out: np.ndarray) -> np.ndarray:
     """`luminance` of ``(3 or more, h, w)`` into ``out`` of ``(h, w)``."""
     red, green, blue = map(float, _REC709[0])
     cv2.addWeighted(planes[0], red, planes[1], green, 0, dst=out)

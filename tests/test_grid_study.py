@@ -58,3 +58,13 @@ def test_every_change_is_scored():
     scores = grid_study.ablations("nbg-2x1", ROOM.parent)
     assert set(scores) == {"as trained", "mean of features as guides"}
     assert scores["as trained"]["psnr"] > scores["mean of features as guides"]["psnr"] > 0
+
+
+def test_the_page_holds_what_was_measured(tmp_path, capsys):
+    report = tmp_path / "grids.md"
+    grid_study.main("nbg-2x1", ROOM.parent, report, height=20, width=30, rounds=1)
+    printed, written = capsys.readouterr().out, report.read_text()
+    assert printed.strip() in written
+    assert "| mean of features as guides |" in written
+    assert "| 6 kernels |" in written
+    assert "Memory of the 1 grids" in written

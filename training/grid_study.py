@@ -1,9 +1,9 @@
 """``python -m stillray.training.grid_study nbg-2x3``: what guides, scales and grids are worth.
 
-With ``--validation``, the ablations of Meng et al. 2020, section 6.3: each scale alone beside the
-blend, and guides that are the mean of the features beside the learned ones; the network is the
-same, only its outputs are replaced. Without, the time of reconstruction against the number of
-grids and of fused kernels, in turn in one process.
+The time of reconstruction against the number of grids and of fused kernels, in turn in one
+process; and with ``--validation`` the ablations of Meng et al. 2020, section 6.3: each scale alone
+beside the blend, and guides that are the mean of the features beside the learned ones; the network
+is the same, only its outputs are replaced. ``--report`` writes them to a page.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from stillray import grid, kernels
 from stillray.cli import program
 from stillray.compare import metrics
 from stillray.denoiser import Denoiser
-from stillray.exr import read_exr
+from stillray.exr import atomic_path, read_exr
 from stillray.models_spec import ModelSpec
 from stillray.models_spec.loader import BilateralGrids, FusedKernels
 from stillray.registry import find_model
@@ -32,6 +32,19 @@ from stillray.training.evaluate import find_scenes, last_referenced
 KERNELS = "wskp-6"
 _AUXILIARY = ("albedo.r", "albedo.g", "albedo.b", "normal.x", "normal.y", "normal.z", "depth")
 _SHOWN = ("psnr", "ssim", "smape")
+_PAGE = """# Bilateral grids: what guides, scales and grids are worth
+
+Written by `python -m stillray.training.grid_study {model} --validation VALIDATION --report
+docs/grids.md`. The ablations of Meng et al. 2020, section 6.3, with the weights of {model} as they
+are: each scale alone instead of the blend (their table 5), and the mean of the features as every
+grid's guide instead of the learned ones. Nothing was trained for them anew, so they say what the
+parts of this network do, not what a network without them could learn. PSNR, SSIM and SMAPE are the
+mean of the last frames of the validation sequences, with exposure as in [results.md](results.md),
+where the model stands beside the others.
+
+Times are of the reconstruction alone, on made-up frames, medians of rounds in which all take turns
+in one process; ratios are medians over the rounds (their figure 6; on their GPU three grids took
+6.1 ms and kernels 1.1)."""
 Change = Callable[[np.ndarray, np.ndarray], np.ndarray]  # features and maps to maps
 
 
@@ -177,31 +190,44 @@ def _table(title: str, columns: Sequence[str], rows: Mapping[str, Sequence[float
     return "\n".join(lines)
 
 
+def page(model: str, parts: Sequence[str]) -> str:
+    """The committed page."""
+    return "\n\n".join([_PAGE.format(model=model), *parts]) + "\n"
+
+
 def main(
     model: Annotated[str, typer.Argument(help="Model with bilateral grids, or an .onnx.")],
     validation: Annotated[
-        Path | None, typer.Option(help="Sequences with references: ablations instead of times.")
+        Path | None, typer.Option(help="Sequences with references: ablations too.")
     ] = None,
+    report: Annotated[Path | None, typer.Option(help="Markdown file to write.")] = None,
     height: Annotated[int, typer.Option(min=1)] = 720,
     width: Annotated[int, typer.Option(min=1)] = 1280,
     rounds: Annotated[int, typer.Option(min=1)] = 7,
 ) -> None:
-    """Print one of the tables."""
-    if validation is not None:
-        scores = ablations(model, validation)
-        print(_table("maps", _SHOWN, {name: list(row.values()) for name, row in scores.items()}))
-        return
+    """Print the tables."""
     taken = times(model, height, width, rounds)
     full = taken["6 kernels"]
     rows = {
         name: [float(np.median(values)), float(np.median(np.array(values) / np.array(full)))]
         for name, values in taken.items()
     }
-    print(_table("reconstruction", ("median ms", "/ 6 kernels"), rows))
     options = find_model(model).spec.decoder
     assert isinstance(options, BilateralGrids)
-    megabytes = [size / 1e6 for size in grid_bytes(height, width, options)]
-    print("grids, MB: " + ", ".join(f"{size:.1f}" for size in megabytes))
+    megabytes = [f"{size / 1e6:.1f}" for size in grid_bytes(height, width, options)]
+    parts = [
+        f"## Time and memory, {width}x{height}",
+        _table("reconstruction", ("median ms", "/ 6 kernels"), rows),
+        f"Memory of the {options.grids} grids, MB: {', '.join(megabytes)}.",
+    ]
+    if validation is not None:
+        scores = ablations(model, validation)
+        table = _table("maps", _SHOWN, {name: list(row.values()) for name, row in scores.items()})
+        parts = ["## Guides and scales", table, *parts]
+    print("\n\n".join(parts))
+    if report is not None:
+        with atomic_path(report) as temporary:
+            temporary.write_text(page(model, parts))
 
 
 if __name__ == "__main__":
