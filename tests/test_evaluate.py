@@ -178,3 +178,21 @@ def test_a_folder_without_references_is_refused(tmp_path):
     write_sequence(tmp_path / "bare", 2, [])
     with pytest.raises(InputError, match="folder must hold sequences with references"):
         run(tmp_path)
+
+
+def test_the_report_says_how_far_models_are_from_their_peers(folder, tmp_path):
+    report = tmp_path / "results.md"
+    scores = run(folder, model=["kpyr-5s", "nbg-2x3"], peer=["svgf"], report=report)
+    mean = evaluate.mean_scores(scores)
+    (row,) = (
+        line for line in report.read_text().splitlines() if line.startswith("| nbg-2x3 against")
+    )
+    psnr, ssim, smape = (cell.strip() for cell in row.split("|")[2:5])
+    for cell, name in ((psnr, "psnr"), (ssim, "ssim")):
+        apart = mean["nbg-2x3"][name] - mean["SVGF"][name]
+        assert float(cell.strip("*")) == pytest.approx(apart, rel=0.01)
+        assert cell.startswith("**") == (apart < 0)
+    ratio = mean["nbg-2x3"]["smape"] / mean["SVGF"]["smape"]
+    assert smape.strip("*") == f"x {ratio:.3g}"
+    assert smape.startswith("**") == (ratio > 1)
+    assert '| kpyr-5s ("fast") against SVGF |' in report.read_text()

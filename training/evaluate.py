@@ -34,6 +34,15 @@ from stillray.registry import find_model, list_models
 from stillray.strips import Strips
 from stillray.training.peers import PEERS, Peer, PeerDenoiser, find_peer
 
+# what models are to be better than, in every metric
+_TO_BEAT = (
+    ("high", "OIDN high"), ("balanced", "OIDN fast"), ("fast", "SVGF"), ("fast", "BMFR"),
+    ("nbg-2x3", "SVGF"), ("nbg-2x3", "BMFR"),
+)  # fmt: skip
+_DISTANCES = """Beside the peers that they are to beat: differences, and ratios (x) where less is
+better; bold is worse. Of flicker, `high` is to have half of OIDN high's, x 0.5. Times
+are in [performance.md](performance.md).
+"""
 Scores = dict[str, dict[str, dict[str, float]]]  # method -> scene -> metric -> value
 _REPORT_HEAD = """# Quality on validation
 
@@ -195,6 +204,31 @@ def markdown(scores: Scores) -> str:
     return "\n".join(parts)
 
 
+def distances(scores: Scores) -> str:
+    """How far models are from the peers that they are to beat, where both were run; or nothing."""
+    means = mean_scores(scores)
+    rows = []
+    for quality, peer in _TO_BEAT:
+        model = find_model(quality).name
+        if model not in means or peer not in means:
+            continue
+        cells = []
+        for metric in METRICS:
+            mine, other = means[model].get(metric.name), means[peer].get(metric.name)
+            if mine is None or other is None:
+                cells.append("")
+                continue
+            apart = f"{mine - other:+.3g}" if metric.higher_is_better else f"x {mine / other:.3g}"
+            worse = mine < other if metric.higher_is_better else mine > other
+            cells.append(f"**{apart}**" if worse else apart)
+        called = model if quality == model else f'{model} ("{quality}")'
+        rows.append(f"| {called} against {peer} | " + " | ".join(cells) + " |")
+    if not rows:
+        return ""
+    head = "| mean | " + " | ".join(metric.title for metric in METRICS) + " |"
+    return "\n".join([_DISTANCES, head, "|---" * (len(METRICS) + 1) + "|", *rows]) + "\n\n"
+
+
 def trained(models: Mapping[str, str]) -> str:
     """A line that says for how many steps each model was trained, each recipe in its turn."""
     shown = []
@@ -288,7 +322,9 @@ def main(
     print(markdown(scores))
     if report:
         with atomic_path(report) as temporary:
-            temporary.write_text(_REPORT_HEAD + trained(models) + markdown(scores))
+            temporary.write_text(
+                _REPORT_HEAD + trained(models) + distances(scores) + markdown(scores)
+            )
     if out:
         with atomic_path(out) as temporary:
             temporary.write_text(json.dumps(scores, indent=1))
