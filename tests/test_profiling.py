@@ -244,6 +244,24 @@ def test_profile_reports_every_stage_as_json_and_as_a_table(capsys):
         assert stage in table
 
 
+def test_models_of_the_qualities_are_profiled_unless_others_are_asked_for(capsys):
+    names = {
+        chosen: [row["model"] for row in profiled(capsys, *options)["runs"]]
+        for chosen, options in (("", ()), ("all", ("-m", "all")), ("one", ("-m", "wskp-3")))
+    }
+    qualities = {find_model(quality).name for quality in ("fast", "balanced", "high")}
+    assert set(names[""]) == qualities
+    assert set(names["all"]) == {info.name for info in stillray.list_models()}
+    assert names["one"] == ["wskp-3"]
+
+
+def profiled(capsys, *options):
+    """The JSON of a profile of small frames."""
+    given = ["--size", "48x32", "--seconds", "0", "--no-memory", "--json", *options]
+    assert cli.main(["profile", *given]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
 def test_a_user_s_own_file_is_profiled_at_its_size(tmp_path, capsys):
     frame = swing(*SIZE)[0]
     write_frame(tmp_path / "a.exr", stillray.Frame(color=frame.color))

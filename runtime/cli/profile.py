@@ -31,7 +31,11 @@ def profile(
     ] = None,
     model: Annotated[
         list[str] | None,
-        typer.Option("--model", "-m", help="Model; repeatable; all unless given."),
+        typer.Option(
+            "--model",
+            "-m",
+            help="Model, or 'all'; repeatable; those of the qualities unless given.",
+        ),
     ] = None,
     size: Annotated[
         list[str] | None,
@@ -89,7 +93,10 @@ def _settings(
     from stillray.session import open_session
     from stillray.strips import available_threads
 
-    names = models or [info.name for info in list_models()]
+    # all of them take minutes
+    names = models or [info.name for info in list_models() if info.aliases]
+    if "all" in names:
+        names = [info.name for info in list_models()]
     infos = [find_model(name) for name in names]
     for count in threads or ():
         if count < 1:
