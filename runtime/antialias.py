@@ -17,6 +17,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from stillray.reproject import bilinear
 from stillray.strips import Strips, pixels_of, with_halo
 
 _AROUND = np.ones((3, 3), np.uint8)
@@ -83,8 +84,7 @@ def accumulate(
         if positions is None:
             np.copyto(mean, past[rows])
         else:
-            border = cv2.BORDER_CONSTANT
-            cv2.remap(past, positions[rows], None, cv2.INTER_LINEAR, mean, border, 0)
+            bilinear(past, positions[rows], mean)
             inside = cv2.extractChannel(mean, 3, dst=scratch.array("inside", mean.shape[:2]))
             if inside.min() < _WHOLE:
                 outside = np.flatnonzero(inside < _WHOLE)

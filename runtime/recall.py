@@ -10,6 +10,7 @@ import numpy as np
 from stillray import encode
 from stillray.models_spec.loader import ModelSpec, PyramidKernels
 from stillray.prepare import History, Prepared
+from stillray.reproject import bilinear
 from stillray.scratch import Scratch
 from stillray.strips import Strips, pixels_of
 from stillray.timing import timed
@@ -125,7 +126,7 @@ def recall(
 
     def work(rows: slice) -> None:
         taken, scratch = past[rows], strips.scratch
-        valid = _bilinear(output, positions[rows], taken, scratch)
+        valid = _mean_of_taps(output, positions[rows], taken, scratch)
         if light is not None:
             factor = light.sharpening(positions[rows], taken, valid, scratch)
             _scale(taken, factor, scratch)
@@ -161,14 +162,15 @@ def recall_of_layers(
     def sharpening(rows: slice) -> None:
         scratch = strips.scratch
         taken = scratch.array("taken", (*factor[rows].shape, 4))
-        valid = _bilinear(output, positions[rows], taken, scratch)
+        valid = _mean_of_taps(output, positions[rows], taken, scratch)
         factor[rows] = light.sharpening(positions[rows], taken, valid, scratch)
 
     strips.run(sharpening, height, width)
 
     def follow(layer: np.ndarray) -> np.ndarray:
         past = recall(layer, positions, strips)
-        return past * cv2.cvtColor(factor, cv2.COLOR_GRAY2RGBA)  # alpha of float images is 1
+        _scale(past, factor, strips.scratch)
+        return past
 
     return follow
 
@@ -212,7 +214,7 @@ class _Luminance:
         ----------
         positions : (h, w, 2) float32
         taken, valid
-            What `_bilinear` gave.
+            What `_mean_of_taps` gave.
         scratch
             Where the result lies.
         """
@@ -240,12 +242,11 @@ def _scale(taken: np.ndarray, factor: np.ndarray, scratch: Scratch) -> None:
     cv2.multiply(taken, factors, dst=taken)
 
 
-def _bilinear(
+def _mean_of_taps(
     output: np.ndarray, positions: np.ndarray, taken: np.ndarray, scratch: Scratch
 ) -> np.ndarray:
     """Fill means of the taps that there are; the result says how much of them lay in the frame."""
-    # exact at four channels; for some other counts OpenCV rounds positions to 1/32 pixel
-    cv2.remap(output, positions, None, cv2.INTER_LINEAR, taken, cv2.BORDER_CONSTANT, 0)
+    bilinear(output, positions, taken)
     valid = cv2.extractChannel(taken, 3, dst=scratch.array("valid", taken.shape[:2]))
     if valid.min() < _WHOLE:
         at = np.flatnonzero(valid < _WHOLE)

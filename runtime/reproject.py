@@ -203,9 +203,9 @@ def reproject(
         if before is not None:
             np.copyto(compared, before[rows])
     else:
-        _bilinear(history, positions, taken)
+        bilinear(history, positions, taken)
         if before is not None:
-            _bilinear(before, positions, compared)
+            bilinear(before, positions, compared)
     if before is not None and now is not None:
         same = _same_surface(
             planes_of(compared, out=scratch.array("before", (4, count, width))),
@@ -281,9 +281,12 @@ def _same_surface(before: np.ndarray, now: np.ndarray, options: Temporal) -> np.
     return near
 
 
-def _bilinear(image: np.ndarray, at: np.ndarray, out: np.ndarray) -> None:
-    # exact at four channels; for some other counts OpenCV rounds positions to 1/32 pixel
-    cv2.remap(image, at, None, cv2.INTER_LINEAR, out, cv2.BORDER_CONSTANT, 0)
+def bilinear(image: np.ndarray, positions: np.ndarray, out: np.ndarray) -> None:
+    """An image of four channels at positions ``(h, w, 2)``, into ``out``; zeros lie outside of it.
+
+    Exact at four channels; for some other counts OpenCV rounds positions to 1/32 pixel.
+    """
+    cv2.remap(image, positions, None, cv2.INTER_LINEAR, out, cv2.BORDER_CONSTANT, 0)
 
 
 def _nearest(image: np.ndarray, at: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ from rich.progress import track
 
 from stillray.cli import program
 from stillray.compare import metrics
-from stillray.compare.metrics import METRICS
+from stillray.compare.metrics import METRICS, Metric
 from stillray.denoiser import Denoiser
 from stillray.display import display_exposure, tone_map, write_png
 from stillray.errors import InputError
@@ -225,8 +225,7 @@ def distances(scores: Scores) -> str:
         rows.append(f"| {called} against {peer} | " + " | ".join(cells) + " |")
     if not rows:
         return ""
-    head = "| mean | " + " | ".join(metric.title for metric in METRICS) + " |"
-    return "\n".join([_DISTANCES, head, "|---" * (len(METRICS) + 1) + "|", *rows]) + "\n\n"
+    return "\n".join([_DISTANCES, *_heading("mean", METRICS), *rows]) + "\n\n"
 
 
 def trained(models: Mapping[str, str]) -> str:
@@ -243,12 +242,16 @@ def trained(models: Mapping[str, str]) -> str:
     return f"Training steps: {', '.join(shown)}.\n\n"
 
 
+def _heading(title: str, shown: Sequence[Metric]) -> list[str]:
+    return [
+        f"| {title} | " + " | ".join(metric.title for metric in shown) + " |",
+        "|---" * (len(shown) + 1) + "|",
+    ]
+
+
 def _table(title: str, rows: dict[str, dict[str, float]]) -> str:
     measured = [metric for metric in METRICS if any(metric.name in row for row in rows.values())]
-    lines = [
-        f"| {title} | " + " | ".join(metric.title for metric in measured) + " |",
-        "|---" * (len(measured) + 1) + "|",
-    ]
+    lines = _heading(title, measured)
     for method, row in rows.items():
         values = (format(row[m.name], m.format) if m.name in row else "" for m in measured)
         lines.append(f"| {method} | " + " | ".join(values) + " |")

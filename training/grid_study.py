@@ -190,11 +190,6 @@ def _table(title: str, columns: Sequence[str], rows: Mapping[str, Sequence[float
     return "\n".join(lines)
 
 
-def page(model: str, parts: Sequence[str]) -> str:
-    """The committed page."""
-    return "\n\n".join([_PAGE.format(model=model), *parts]) + "\n"
-
-
 def main(
     model: Annotated[str, typer.Argument(help="Model with bilateral grids, or an .onnx.")],
     validation: Annotated[
@@ -224,10 +219,11 @@ def main(
         scores = ablations(model, validation)
         table = _table("maps", _SHOWN, {name: list(row.values()) for name, row in scores.items()})
         parts = ["## Guides and scales", table, *parts]
-    print("\n\n".join(parts))
+    tables = "\n\n".join(parts)
+    print(tables)
     if report is not None:
         with atomic_path(report) as temporary:
-            temporary.write_text(page(model, parts))
+            temporary.write_text(f"{_PAGE.format(model=model)}\n\n{tables}\n")
 
 
 if __name__ == "__main__":

@@ -93,11 +93,11 @@ def _settings(
     from stillray.session import open_session
     from stillray.strips import available_threads
 
-    # all of them take minutes
-    names = models or [info.name for info in list_models() if info.aliases]
-    if "all" in names:
-        names = [info.name for info in list_models()]
-    infos = [find_model(name) for name in names]
+    if models and "all" not in models:
+        names, infos = list(models), [find_model(name) for name in models]
+    else:  # all of them take minutes, which has to be asked for
+        infos = [info for info in list_models() if models or info.aliases]
+        names = [info.name for info in infos]
     for count in threads or ():
         if count < 1:
             raise InputError(f"threads must be 1 or more, got {count}")
@@ -110,7 +110,7 @@ def _settings(
     engines: Sequence[str | None] = providers or [None]
     return [
         Setting(
-            model=str(name),
+            model=name,
             height=height,
             width=width,
             threads=count,
