@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 
 from torch import nn
+from torch.nn import functional as F
 
 from stillray.training.networks.repvgg import RepVGGBlock
 
@@ -36,8 +37,14 @@ def _replace_blocks(module: nn.Module) -> nn.Module:
 
 def _one_convolution(block: RepVGGBlock) -> nn.Module:
     weight, bias = (part.detach().clone() for part in block.fused())
+    # a kernel over squares of pixels is one over pixels that steps from square to square
+    weight = F.pixel_shuffle(weight, block.block)
     convolution = nn.Conv2d(
-        weight.shape[1], weight.shape[0], block.kernel_size, padding=block.kernel_size // 2
+        weight.shape[1],
+        weight.shape[0],
+        weight.shape[2],
+        stride=block.block,
+        padding=block.kernel_size // 2 * block.block,
     ).to(weight.dtype)
     convolution.weight.data = weight
     convolution.bias.data = bias  # type: ignore[union-attr]

@@ -90,8 +90,11 @@ class ImportanceNetwork:
     """ImportanceNet: a chain of RepVGG blocks (Fan et al. 2021, figure 2)."""
 
     features: tuple[str, ...]  # input planes by name
+    # pixels, 1 or 2: the network works on squares of pixels with this side, as if they were pixels
+    # of so many times the features, and tells them apart in its logits alone
+    block: int
     widths: tuple[int, ...]  # output channels of every block but the last
-    kernel_sizes: tuple[int, ...]  # of each block, pixels, odd
+    kernel_sizes: tuple[int, ...]  # of each block, odd, in pixels or squares of them
     # kernel sizes trained side by side and fused for inference; a block has those below its own
     branches: tuple[int, ...]
     identity: bool  # an identity branch where input and output widths agree (training only)
@@ -105,6 +108,7 @@ class ImportanceNetwork:
             )
         _odd(self.kernel_sizes)
         _branches(max(self.kernel_sizes), self.branches)
+        _within("network.block", self.block, 1, 2)
 
     def block_branches(self, block: int) -> tuple[int, ...]:
         """Kernel sizes that are trained side by side in a block, its own first."""
@@ -168,6 +172,7 @@ class PyramidKernels:
 
     kernel_sizes: tuple[int, ...]  # pixels of each level, odd, one importance map each
     finest_kernels: bool  # whether the finest level has them too, or the coarser alone
+    predicted: bool  # whether pixels of the coarser levels have a weight for each neighbour, too
     logit_bound: float  # logits are clipped to +- this, (0, 20]
     sharp_recall: bool  # whether the previous output is interpolated by cubic convolution
 

@@ -68,7 +68,7 @@ class Family:
 FAMILIES = {
     "weight-sharing-kernels": Family(
         kernels.reconstruct,
-        lambda spec: 1,
+        kernels.multiple,
         kernels.reach,
         kernels.receptive_field,
         recalls=False,

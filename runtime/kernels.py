@@ -12,6 +12,7 @@ from functools import cache
 import cv2
 import numpy as np
 
+from stillray.blocks import Blocks
 from stillray.models_spec.loader import FusedKernels, ImportanceNetwork, ModelSpec
 from stillray.prepare import Prepared
 from stillray.scratch import Scratch
@@ -30,7 +31,9 @@ def reconstruct(
     """Filter and re-modulate a frame, see `stillray.families.Family`."""
     options = spec.decoder
     assert isinstance(options, FusedKernels)
+    assert isinstance(spec.network, ImportanceNetwork)
     (logits,) = outputs
+    blocks = Blocks(logits, strips) if spec.network.block > 1 else None
     mean, by = prepared.history.mean, prepared.modulator
     height, width = mean.shape[:2]
     image = np.empty((height, width, 3), np.float32)
@@ -40,7 +43,8 @@ def reconstruct(
         def work(rows: slice) -> None:
             near, own = with_halo(rows, halo, height)
             with part("reconstruct"):
-                filter_rows(mean[near], logits[:, near], own, options, image[rows], strips.scratch)
+                given = logits[:, near] if blocks is None else blocks.near(near, width)
+                filter_rows(mean[near], given, own, options, image[rows], strips.scratch)
             if by is not None:
                 with part("modulate"):
                     image[rows] *= by[rows]
@@ -55,10 +59,18 @@ def reach(spec: ModelSpec) -> int:
     return max(spec.decoder.kernel_sizes) // 2
 
 
+def multiple(spec: ModelSpec) -> int:
+    """Height and width of the network's input must be multiples of this, pixels."""
+    assert isinstance(spec.network, ImportanceNetwork)
+    return spec.network.block
+
+
 def receptive_field(spec: ModelSpec) -> int:
     """Pixels that one output of the network looks to each side."""
-    assert isinstance(spec.network, ImportanceNetwork)
-    return sum(size // 2 for size in spec.network.kernel_sizes)
+    network = spec.network
+    assert isinstance(network, ImportanceNetwork)
+    # and a pixel lies anywhere in its block
+    return network.block * sum(size // 2 for size in network.kernel_sizes) + network.block - 1
 
 
 def method(spec: ModelSpec) -> str:
@@ -69,7 +81,7 @@ def method(spec: ModelSpec) -> str:
 
 def filter_rows(
     mean: np.ndarray,
-    logits: np.ndarray,
+    logits: np.ndarray | Blocks,
     inner: slice,
     options: FusedKernels,
     out: np.ndarray | None = None,
@@ -103,13 +115,14 @@ def filter_rows(
         out = np.empty((inner.stop - inner.start, mean.shape[1], 3), np.float32)
     interleave(filter_planes(mean, logits, inner, options, scratch), out=out)
     if np.isnan(out.max()):  # a NaN logit says nothing: 0
-        return filter_rows(mean, np.nan_to_num(logits, nan=0.0), inner, options, out, scratch)
+        maps = logits[slice(0, len(logits)), slice(0, len(mean))]
+        return filter_rows(mean, np.nan_to_num(maps, nan=0.0), inner, options, out, scratch)
     return out
 
 
 def filter_planes(
     mean: np.ndarray,
-    logits: np.ndarray,
+    logits: np.ndarray | Blocks,
     inner: slice,
     options: FusedKernels,
     scratch: Scratch,

@@ -16,6 +16,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
+from stillray.blocks import Blocks
 from stillray.kernels import bounded_exp, box_means
 from stillray.models_spec.loader import ModelSpec, PyramidKernels, PyramidNetwork
 from stillray.prepare import Prepared
@@ -47,6 +48,13 @@ class LevelLayout:
     renew
         At the finest level how much this frame's sample counts beside what was accumulated, which
         holds it already; empty elsewhere.
+    around
+        At every level but the finest, where the spec asks for it, the weights of the eight
+        `NEIGHBOURS`, as the blend's; empty elsewhere.
+    double
+        At every level but the finest what the pixels of its 2x2 blocks take of the pixels beside
+        and above or below the block, see `_double`: four maps for the one, four for the other;
+        empty at the finest.
     """
 
     importance: slice
@@ -54,6 +62,8 @@ class LevelLayout:
     blend: slice
     resolve: slice
     renew: slice
+    double: slice
+    around: slice
 
 
 def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayout:
@@ -66,6 +76,8 @@ def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayou
         kernels if coarsest else kernels + 1,
         len(NEIGHBOURS) + 1 if level == 0 else 0,
         1 if level == 0 else 0,
+        0 if level == 0 else 8,
+        len(NEIGHBOURS) if level > 0 and options.predicted else 0,
     )
     starts = [sum(counts[:index]) for index in range(len(counts) + 1)]
     return LevelLayout(*(slice(a, b) for a, b in pairwise(starts)))
@@ -73,39 +85,56 @@ def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayou
 
 def level_logits(level: int, levels: int, options: PyramidKernels) -> int:
     """Planes that a level's logits have, 0 being the finest."""
-    return level_layout(level, levels, options).renew.stop
+    return level_layout(level, levels, options).around.stop
 
 
-class Blocks:
-    """Logits of the finest level that the network gave by blocks, read as if they were one map.
+class _Doubled:
+    """A level at twice its resolution: every pixel is a mean of three coarser ones.
+
+    Its own, the one beside and the one above or below, on the pixel's side: twice the first and
+    one each of the others, if their logits are 0, which is what a plane through their centres has
+    there. Where a surface ends, the network leaves out what lies on the other side.
 
     Parameters
     ----------
-    blocks : (4 planes, H, W) float32
-        Four planes for each: of the top left pixels of 2x2 blocks, the top right, the bottom left,
-        the bottom right.
-    strips
-        Where what is read lies, until the same planes are read again.
+    light : (3, h + 2, w + 2) float32
+        With its border repeated.
+    logits : (8, h, w) float32
+        Of the pixels beside, then of those above or below, for the top left pixel of each block,
+        the top right, the bottom left, the bottom right.
+    options
+        The bound of the logits.
     """
 
-    def __init__(self, blocks: np.ndarray, strips: Strips) -> None:
-        count, height, width = blocks.shape
-        self._blocks = blocks.reshape(count // 4, 2, 2, height, width)
-        self._strips = strips
-        self.shape = (count // 4, 2 * height, 2 * width)
+    def __init__(self, light: np.ndarray, logits: np.ndarray, options: PyramidKernels) -> None:
+        self._light, self._logits, self._bound = light, logits, options.logit_bound
 
-    def __getitem__(self, at: tuple[slice, slice]) -> np.ndarray:
-        """Planes and rows: ``(planes, rows, 2 W)``."""
-        part, rows = at
-        blocks = self._blocks[part, ..., rows.start // 2 : -(-rows.stop // 2), :]
-        count, _, _, height, width = blocks.shape
-        name = f"planes {part.start} to {part.stop}"
-        whole = self._strips.scratch.array(name, (count, height, 2, width, 2))
+    def rows(self, rows: slice, out: np.ndarray, scratch: Scratch) -> None:
+        """Write rows of it to ``(3, rows, 2 w)``."""
+        top, bottom = rows.start // 2, -(-rows.stop // 2)
+        width = self._logits.shape[2]
+        beside, above, own, mixed = scratch.array("doubled", (4, bottom - top, width))
         for line, column in np.ndindex(2, 2):
-            whole[:, :, line, :, column] = blocks[:, line, column]
-        first, length = rows.start % 2, rows.stop - rows.start
-        part_of_rows: np.ndarray = whole.reshape(count, 2 * height, 2 * width)
-        return part_of_rows[:, first : first + length]
+            corner = 2 * line + column
+            bounded_exp(self._logits[corner, top:bottom], self._bound, beside)
+            bounded_exp(self._logits[4 + corner, top:bottom], self._bound, above)
+            np.add(beside, above, out=own)
+            own += 2
+            np.reciprocal(own, out=own)
+            beside *= own
+            above *= own
+            own *= 2
+            # rows of this line: the first or the last may lie outside of what is asked for
+            first, end = 2 * top + line - rows.start, 2 * bottom - 2 + line - rows.start
+            inside = slice(first < 0, bottom - top - (end >= rows.stop - rows.start))
+            for plane, target in zip(self._light, out, strict=True):
+                middle = plane[1 + top : 1 + bottom]
+                np.multiply(middle[:, 1:-1], own, out=mixed)
+                side = middle[:, 2 * column : 2 * column + width]
+                cv2.accumulateProduct(side, beside, mixed)
+                over = plane[top + 2 * line : bottom + 2 * line, 1:-1]
+                cv2.accumulateProduct(over, above, mixed)
+                target[first % 2 :: 2, column::2] = mixed[inside]
 
 
 def multiple(spec: ModelSpec) -> int:
@@ -118,7 +147,7 @@ def reach(spec: ModelSpec) -> int:
     """Pixels from which light can come to a pixel, to each side."""
     assert isinstance(spec.decoder, PyramidKernels)
     coarsest = multiple(spec)
-    # a bilinear step looks into the neighbouring cell: 1.5 cells of every level above the finest,
+    # doubling looks into the neighbouring cell: 1.5 cells of every level above the finest,
     # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, and the resolve
     return 3 * (coarsest - 1) + max(spec.decoder.kernel_sizes) // 2 * coarsest + 1
 
@@ -235,16 +264,11 @@ def _filtered(
     for level in range(levels - 1):
         pool = level_layout(level, levels, options).pool
         pyramid.append(_pool(pyramid[-1], maps[level], pool, options, strips))
-    coarser: np.ndarray | None = None
+    coarser: _Doubled | None = None
     for level in reversed(range(1, levels)):
-        coarser = _blended(
-            pyramid[level],
-            coarser,
-            maps[level],
-            level_layout(level, levels, options),
-            options,
-            strips,
-        )
+        layout = level_layout(level, levels, options)
+        light = _blended(pyramid[level], coarser, maps[level], layout, options, strips)
+        coarser = _Doubled(light, logits[level][layout.double], options)
     image = np.empty((height, width, 3), np.float32)
 
     def finish(rows: slice) -> None:
@@ -353,26 +377,30 @@ def _pool(
 
 def _blended(
     planes: np.ndarray,
-    coarser: np.ndarray | None,
+    coarser: _Doubled | None,
     logits: np.ndarray | Blocks,
     layout: LevelLayout,
     options: PyramidKernels,
     strips: Strips,
 ) -> np.ndarray:
-    """A whole level, ``(3, h, w)``."""
-    result = np.empty((3, *planes.shape[1:]), np.float32)
+    """A whole level with its border repeated, ``(3, h + 2, w + 2)``."""
+    height, width = planes.shape[1:]
+    result = np.empty((3, height + 2, width + 2), np.float32)
+    inner = result[:, 1:-1, 1:-1]
 
     def work(rows: slice) -> None:
-        _blend(rows, planes, coarser, logits, layout, options, result[:, rows], strips.scratch)
+        _blend(rows, planes, coarser, logits, layout, options, inner[:, rows], strips.scratch)
 
-    strips.run(work, *planes.shape[1:])
+    strips.run(work, height, width)
+    result[:, 0], result[:, -1] = result[:, 1], result[:, -2]
+    result[..., 0], result[..., -1] = result[..., 1], result[..., -2]
     return result
 
 
 def _blend(
     rows: slice,
     planes: np.ndarray,
-    coarser: np.ndarray | None,
+    coarser: _Doubled | None,
     logits: np.ndarray | Blocks,
     layout: LevelLayout,
     options: PyramidKernels,
@@ -387,7 +415,7 @@ def _blend(
         Which rows of the level.
     planes : (4, h, w) float32
         Light and samples of the whole level.
-    coarser : (3, h / 2, w / 2) float32 or None
+    coarser
         The whole coarser level; None at the coarsest.
     logits : (planes, h, w) float32
     layout, options
@@ -407,7 +435,7 @@ def _blend(
     if coarser is None:  # itself at logit 0, then the kernels
         np.copyto(out, planes[:3, rows])
     else:  # the coarser level at logit 0, then itself, then the kernels
-        _double(coarser, rows, out)
+        coarser.rows(rows, out, scratch)
         own = others.pop(0)
         for plane, sums in zip(planes, out, strict=False):
             cv2.accumulateProduct(plane[rows], own, sums)
@@ -427,9 +455,33 @@ def _blend(
         for plane, sums in zip(planes, out, strict=False):
             np.multiply(weight, plane[near], out=product)
             cv2.accumulateProduct(box_means(product, size, box)[inner], share, sums)
+    if layout.around.stop > layout.around.start:
+        padded = _padded(planes[:3], rows, scratch)
+        share = scratch.array("share", shape)
+        for logit, (down, right) in zip(logits[layout.around, rows], NEIGHBOURS, strict=True):
+            bounded_exp(logit, options.logit_bound, share)
+            normal += share
+            for plane, sums in zip(padded, out, strict=True):
+                moved = plane[1 + down :, 1 + right :][: shape[0], :width]
+                cv2.accumulateProduct(moved, share, sums)
     np.reciprocal(normal, out=normal)
     for sums in out:
         sums *= normal
+
+
+def _padded(planes: np.ndarray, rows: slice, scratch: Scratch) -> np.ndarray:
+    """Rows of ``(3, h, w)`` with one pixel more on each side, repeated at the border."""
+    near, inner = with_halo(rows, 1, planes.shape[1])
+    count, width = rows.stop - rows.start, planes.shape[2]
+    padded = scratch.array("neighbours", (3, count + 2, width + 2))
+    top = 1 - inner.start
+    padded[:, top : top + near.stop - near.start, 1:-1] = planes[:, near]
+    if top:
+        padded[:, 0] = padded[:, 1]
+    if near.stop < rows.stop + 1:
+        padded[:, -1] = padded[:, -2]
+    padded[..., 0], padded[..., -1] = padded[..., 1], padded[..., -2]
+    return padded
 
 
 def _resolve(
@@ -478,14 +530,3 @@ def _resolve(
             cv2.accumulateProduct(past[channel], weights[-1], total)
         total *= normal
     interleave(resolved, out=out)
-
-
-def _double(planes: np.ndarray, rows: slice, out: np.ndarray) -> None:
-    """Rows of planes of twice the size, bilinear between pixel centres: ``(3, rows, 2 w)``."""
-    height, width = planes.shape[1:]
-    near, inner = with_halo(slice(rows.start // 2, -(-rows.stop // 2)), 1, height)
-    size = (2 * width, 2 * (near.stop - near.start))
-    first = 2 * inner.start + rows.start % 2
-    for plane, target in zip(planes, out, strict=True):
-        doubled = cv2.resize(plane[near], size, interpolation=cv2.INTER_LINEAR)
-        np.copyto(target, doubled[first : first + len(target)])

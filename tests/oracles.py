@@ -189,6 +189,7 @@ def kernel_pyramid(
                 )
         pyramid.append((coarse, samples))
     result = np.zeros(0)
+    around = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
     for level in reversed(range(levels)):
         light, held = pyramid[level]
         coarsest, count = level == levels - 1, len(sizes[level])
@@ -203,13 +204,21 @@ def kernel_pyramid(
             if coarsest:
                 shares = [1.0, *shares]
             else:
-                choices.append(_between(result, (y - 0.5) / 2, (x - 0.5) / 2))
+                after = -16 if options.predicted else -8
+                choices.append(_doubled(result, weights[level + 1][after:][:8], y, x))
                 shares.append(1.0)
+            if level > 0 and options.predicted:
+                for index, (down, right) in enumerate(around):
+                    at = (
+                        min(max(y + down, 0), held.shape[0] - 1),
+                        min(max(x + right, 0), held.shape[1] - 1),
+                    )
+                    choices.append(light[at])
+                    shares.append(weights[level][index - 8, y, x])
             blended[y, x] = np.average(choices, axis=0, weights=shares)
         result = blended
     radiance = result[:height, :width] * divisor
     resolved = np.zeros_like(radiance)
-    around = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
     for y, x in np.ndindex(height, width):
         choices = [radiance[y, x], previous[y, x, :3].astype(np.float64)]
         shares = [1.0, weights[0][-2, y, x] * previous[y, x, 3]]
@@ -303,16 +312,15 @@ def _window(light: np.ndarray, weight: np.ndarray, y: int, x: int, half: int) ->
     return np.einsum("yx,yxc->c", weight[rows, columns], light[rows, columns]) / total
 
 
-def _between(image: np.ndarray, y: float, x: float) -> np.ndarray:
-    """Bilinear, the border repeated."""
-    top, left = int(np.floor(y)), int(np.floor(x))
-    total = np.zeros(image.shape[2])
-    for row in (top, top + 1):
-        for column in (left, left + 1):
-            share = (1 - abs(y - row)) * (1 - abs(x - column))
-            at = (
-                min(max(row, 0), image.shape[0] - 1),
-                min(max(column, 0), image.shape[1] - 1),
-            )
-            total += share * image[at]
-    return total
+def _doubled(image: np.ndarray, weights: np.ndarray, y: int, x: int) -> np.ndarray:
+    """A pixel of an image of twice the size: its own coarser pixel, one beside, one above or below.
+
+    The border is repeated.
+    """
+    row, column, corner = y // 2, x // 2, 2 * (y % 2) + x % 2
+    beside = row, min(max(column + (1 if x % 2 else -1), 0), image.shape[1] - 1)
+    above = min(max(row + (1 if y % 2 else -1), 0), image.shape[0] - 1), column
+    shares = [2.0, weights[corner, row, column], weights[4 + corner, row, column]]
+    choices = [image[row, column], image[beside], image[above]]
+    mean: np.ndarray = np.average(choices, axis=0, weights=shares)
+    return mean

@@ -59,7 +59,7 @@ def test_every_missing_key_is_named(data):
         ("decoder", "logit_bound", 90.0, "decoder.logit_bound must be in"),
         ("demodulate", "floor", 0.0, "demodulate.floor must be in"),
         ("training", "steps", "many", "training.steps must be of type int"),
-        ("network", "branches", [3, 1], "network.branches"),
+        ("network", "branches", [5, 3], "network.branches"),
         ("network", "kernel_sizes", [5, 5], "network.kernel_sizes must have 3 entries for 2"),
     ],
 )
@@ -98,7 +98,7 @@ def test_specs_are_frozen():
         load("wskp-3").name = "x"
 
 
-def test_only_a_kernel_pyramid_works_on_blocks():
+def test_a_multi_resolution_model_does_not_work_on_blocks():
     data = json.loads(load("wskp-mr").to_json())
     data["network"]["block"] = 2
     with pytest.raises(SpecError, match=r"network.block must be in \[1, 1\], got 2"):

@@ -54,18 +54,17 @@ def test_fused_network_equals_the_trained_one_which_stays_as_it_was(name):
 
 
 def test_fused_networks_differ_in_depth_and_have_one_convolution_a_block():
-    for name, blocks in (("wskp-3", 3), ("wskp-6", 6)):
+    for name, sizes in (("wskp-3", [6, 3, 3]), ("wskp-6", [5] * 6)):
         layers = list(fuse(ImportanceNet(load(name))).modules())
         convolutions = [layer for layer in layers if isinstance(layer, torch.nn.Conv2d)]
-        assert len(convolutions) == blocks
-        assert all(layer.kernel_size == (5, 5) for layer in convolutions)
+        assert [layer.kernel_size for layer in convolutions] == [(size, size) for size in sizes]
         assert not isinstance(layers[-1], torch.nn.ReLU)
 
 
 def test_blocks_have_kernel_sizes_of_their_own():
-    spec = load("wskp-3")
+    spec = load("wskp-6")
     spec = dataclasses.replace(
-        spec, network=dataclasses.replace(spec.network, kernel_sizes=(5, 3, 1))
+        spec, network=dataclasses.replace(spec.network, widths=(16, 16), kernel_sizes=(5, 3, 1))
     )
     network = ImportanceNet(spec)
     sizes = [[one.kernel_size[0] for one in block.branches()] for block in network.blocks]
@@ -74,6 +73,29 @@ def test_blocks_have_kernel_sizes_of_their_own():
     assert [layer.kernel_size for layer in fused] == [(5, 5), (3, 3), (1, 1)]
     alone = [len(block.branches()) for block in ImportanceNet(without_branches(spec)).blocks]
     assert alone == [1, 1, 1]
+
+
+def test_a_block_that_works_on_squares_of_pixels_sees_all_of_them_and_their_neighbours():
+    torch.manual_seed(0)
+    block = RepVGGBlock(3, 12, (3, 1), identity=True, activation=False, block=2).double()
+    assert block.identity
+    fused = fuse(torch.nn.Sequential(block))[0]
+    assert (fused.kernel_size, fused.stride, fused.padding) == ((6, 6), (2, 2), (2, 2))
+    image = torch.randn(1, 3, 8, 12, dtype=torch.float64, requires_grad=True)
+    given = block(image)
+    assert given.shape == (1, 12, 4, 6)
+    given[0, :, 2, 3].sum().backward()
+    seen = image.grad.abs().sum((0, 1)) > 0
+    expected = torch.zeros(8, 12, dtype=torch.bool)
+    expected[2:8, 4:10] = True
+    assert torch.equal(seen, expected)
+    with by_branches(block), torch.no_grad():
+        torch.testing.assert_close(fused(image), block(image))
+        for branch in block.branches():
+            torch.nn.init.zeros_(branch.weight)
+            torch.nn.init.zeros_(branch.bias)
+        # what is left is the pixels themselves, four planes for one
+        torch.testing.assert_close(torch.pixel_shuffle(block(image), 2), image)
 
 
 def test_plain_variant_fuses_to_the_same_shape_with_fewer_weights_in_training():

@@ -64,6 +64,16 @@ def test_a_finest_level_without_kernels_equals_the_loop_oracle():
     np.testing.assert_allclose(got, oracles.kernel_pyramid(*inputs, options), rtol=5e-6)
 
 
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (3, 5), (9, 14), (70, 18)])
+def test_predicted_weights_of_neighbours_equal_the_loop_oracle(height, width):
+    options = dataclasses.replace(OPTIONS, kernel_sizes=(5,), finest_kernels=False, predicted=True)
+    inputs = draw(height, width, options=options)
+    expected = oracles.kernel_pyramid(*inputs, options)
+    for threads in (1, 3):
+        got = pyramid.filter_pyramid(*inputs, options, Strips(threads))
+        np.testing.assert_allclose(got, expected, rtol=5e-6)
+
+
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (9, 14), (150, 70)])
 def test_logits_that_come_by_blocks_are_those_of_the_pixels(height, width):
     *buffers, logits = draw(height, width)
@@ -75,6 +85,48 @@ def test_logits_that_come_by_blocks_are_those_of_the_pixels(height, width):
     for threads in (1, 3):
         got = pyramid.filter_pyramid(*buffers, [blocks, *logits[1:]], OPTIONS, Strips(threads))
         np.testing.assert_array_equal(got, expected)
+
+
+def coarser_alone(light, beside, above):
+    """A finest level that takes nothing but the coarser one, of this light and these logits."""
+    options = dataclasses.replace(OPTIONS, kernel_sizes=(1,), finest_kernels=False)
+    height, width = light.shape[:2]
+    fine = np.repeat(np.repeat(light, 2, 0), 2, 1)
+    layouts = [pyramid.level_layout(level, 2, options) for level in range(2)]
+    logits = [
+        np.zeros((layout.double.stop, height * scale, width * scale), np.float32)
+        for layout, scale in zip(layouts, (2, 1), strict=True)
+    ]
+    for part in (layouts[0].blend, layouts[0].resolve, layouts[0].renew):
+        logits[0][part] = -1e9
+    logits[1][layouts[1].double] = np.concatenate([beside, above])
+    mean = np.dstack([fine, np.ones(fine.shape[:2])]).astype(np.float32)
+    options = dataclasses.replace(options, logit_bound=20.0)
+    return pyramid.filter_pyramid(mean, None, None, None, logits, options, Strips(1))
+
+
+def test_doubling_continues_a_slope():
+    y, x = np.mgrid[:9, :13]
+    light = np.stack([5 + x + 2 * y, 40 - 3 * x + y, np.full(x.shape, 2)], -1)
+    even = np.zeros((4, 9, 13), np.float32)
+    got = coarser_alone(light, even, even)
+    y, x = (np.mgrid[:18, :26] - 0.5) / 2
+    wanted = np.stack([5 + x + 2 * y, 40 - 3 * x + y, np.full(x.shape, 2)], -1)
+    np.testing.assert_allclose(got[1:-1, 1:-1], wanted[1:-1, 1:-1], rtol=1e-6)
+
+
+def test_doubling_takes_nothing_from_beyond_an_edge_that_the_network_found():
+    light = np.ones((6, 8, 3))
+    light[:, 4:] = 100  # an edge between columns
+    light[3:, :] *= 7  # and one between rows
+    beside, above = (np.zeros((4, 6, 8), np.float32) for _ in range(2))
+    beside[[1, 3], :, 3] = beside[[0, 2], :, 4] = -1e9
+    above[[2, 3], 2] = above[[0, 1], 3] = -1e9
+    got = coarser_alone(light, beside, above)
+    # e^-20 of light that is seven hundred times as bright
+    np.testing.assert_allclose(got, np.repeat(np.repeat(light, 2, 0), 2, 1), rtol=1e-5)
+    even = np.zeros_like(beside)
+    assert np.abs(coarser_alone(light, even, even) - got).max() > 10
 
 
 def test_threads_and_strips_do_not_change_the_picture():

@@ -202,7 +202,11 @@ def test_a_scene_of_unknown_licence_cannot_ship():
 
 
 def test_another_model_s_weights_are_taken_over_by_the_names_of_features(data, small, tmp_path):
-    short = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=1))
+    short = dataclasses.replace(
+        small,
+        network=dataclasses.replace(small.network, identity=False),
+        training=dataclasses.replace(small.training, steps=1),
+    )
     first = train.train(short, [data], tmp_path / "first", save_every=1)
     names = short.network.features
     turned = dataclasses.replace(
@@ -215,11 +219,21 @@ def test_another_model_s_weights_are_taken_over_by_the_names_of_features(data, s
     (tmp_path / "first" / train.STARTED_FROM).write_text('{"model": "older", "steps": 7}')
     origin = train.start_from(tmp_path / "first" / train.CHECKPOINT, second, turned)
     assert origin["started_from"] == {"model": "older", "steps": 7}
-    planes = torch.rand(1, len(names), 9, 7)
+    planes = torch.rand(1, len(names), 10, 6)
     planes[:, 0] = 0  # what the second does not read
-    unread = torch.rand(1, 1, 9, 7)  # what the first did not read has no weight yet
+    unread = torch.rand(1, 1, 10, 6)  # what the first did not read has no weight yet
     again = torch.cat([planes[:, 1:].flip(1), unread], 1)
     torch.testing.assert_close(second(again), first(planes))
+    # an identity adds each feature to a channel of its own
+    mixed = dataclasses.replace(
+        turned, network=dataclasses.replace(turned.network, features=names[::-1], identity=True)
+    )
+    with pytest.raises(InputError, match="start must read the features of wskp-3 in their order"):
+        train.start_from(
+            tmp_path / "first" / train.CHECKPOINT,
+            train.FAMILIES[mixed.family].network(mixed),
+            mixed,
+        )
 
 
 def test_a_deeper_guide_net_starts_as_the_shallow_one_and_learns_with_all_its_layers(

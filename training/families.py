@@ -7,9 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from stillray.models_spec import ModelSpec
-from stillray.models_spec.loader import BilateralGrids, FusedKernels, PyramidKernels
+from stillray.models_spec.loader import (
+    BilateralGrids,
+    FusedKernels,
+    ImportanceNetwork,
+    PyramidKernels,
+)
 from stillray.training.decoders.bilateral_grids import bilateral_grids
 from stillray.training.decoders.boxes import BoxMean
 from stillray.training.decoders.fused_kernels import fused_kernels
@@ -56,7 +62,10 @@ class Family:
 
 
 def _fused(logits: Tensor, batch: Mapping[str, Tensor], spec: ModelSpec, box: BoxFilter) -> Tensor:
+    assert isinstance(spec.network, ImportanceNetwork)
     assert isinstance(spec.decoder, FusedKernels)
+    if spec.network.block > 1:
+        logits = F.pixel_shuffle(logits, spec.network.block)
     return fused_kernels(batch["irradiance"], batch["samples"], logits, spec.decoder, box)
 
 

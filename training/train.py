@@ -40,6 +40,7 @@ from stillray.training.dataset import (
 )
 from stillray.training.families import FAMILIES, Family
 from stillray.training.losses import displayed, dissimilarity, smape, unsteadiness
+from stillray.training.networks.repvgg import RepVGGBlock
 
 CHECKPOINT = "checkpoint.safetensors"
 LOG = "log.csv"
@@ -238,7 +239,8 @@ def start_from(checkpoint: Path, network: nn.Module, spec: ModelSpec) -> dict[st
         Of a model of the same family and widths; it may have read other features, which are
         matched by name (those that it did not read begin with weights of 0), have given fewer
         logits (new ones are appended), and have had fewer layers in its dense block (what new ones
-        add begins with weights of 0).
+        add begins with weights of 0). Where the first block has an identity, features stay in
+        their places.
     network, spec
         What is to be trained.
 
@@ -262,17 +264,26 @@ def start_from(checkpoint: Path, network: nn.Module, spec: ModelSpec) -> dict[st
     before = json.loads(metadata["spec"])
     features = before["network"]["features"]
     state = network.state_dict()
+    entry = network.get_submodule(str(network.reads_features).rstrip("."))
+    if isinstance(entry, RepVGGBlock) and entry.identity and features != [*spec.network.features]:
+        raise InputError(
+            f"start must read the features of {spec.name} in their order, whose first block has an "
+            f"identity, got {', '.join(features)}"
+        )
     for name, value in load_file(checkpoint).items():
         if not name.startswith("network."):
             continue
         target = state.get(name := name[len("network.") :], torch.empty(0))
         fits = len(value) <= len(target)
         if fits and name.startswith(str(network.reads_features)) and value.ndim == 4:
-            fits = value.shape[1] == len(features) and value.shape[2:] == target.shape[2:]
-            read = [features.index(f) if f in features else -1 for f in spec.network.features]
-            matched = value[:, read]
-            matched[:, [index < 0 for index in read]] = 0
-            value = matched
+            # where blocks of pixels are read as one, every feature is several planes
+            each = target.shape[1] // len(spec.network.features)
+            fits = value.shape[1] == each * len(features) and value.shape[2:] == target.shape[2:]
+            if fits:
+                read = [features.index(f) if f in features else -1 for f in spec.network.features]
+                matched = value.unflatten(1, (len(features), each))[:, read]
+                matched[:, [index < 0 for index in read]] = 0
+                value = matched.flatten(1, 2)
         if fits and value.ndim == 4 and name.startswith(getattr(network, "reads_added", " ")):
             added = max(target.shape[1] - value.shape[1], 0)
             value = F.pad(value, (0, 0, 0, 0, 0, added))

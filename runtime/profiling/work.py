@@ -117,9 +117,11 @@ def _pyramid(spec: ModelSpec) -> tuple[float, float]:
         share = 0.25**level
         logits = level_logits(level, levels, spec.decoder)
         maps = len(spec.decoder.kernel_sizes) if level or spec.decoder.finest_kernels else 0
-        # kernels as above; itself and the coarser level; what is pooled and doubled
+        # kernels as above; itself and the coarser level; what is pooled; four pixels for one, with
+        # their shares and of each channel three products
         kernels = maps * (1 + 3 + 4 * _WINDOW_SUM + 1 + 3 * 2 + 1)
-        operations += share * (logits * _EXP + kernels + 3 * 4 + 4 * 2 + 3 * 8)
+        doubled = 4 * (6 + 3 * 5) if level else 0
+        operations += share * (logits * _EXP + kernels + 3 * 4 + 4 * 2 + doubled)
         planes += share * (logits + 4 + 4)  # light read and the level's result written
     resolve = 9 * (1 + 3 * 2) + 3 + 3  # eight neighbours and the past; normalised, modulated
     return operations + resolve, planes

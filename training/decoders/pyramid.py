@@ -55,28 +55,68 @@ def kernel_pyramid(
     result: Tensor | None = None
     for level in reversed(range(levels)):
         own = light[level]
-        logit = maps[level].blend
-        zero = torch.zeros_like(logit[:, :1])
+        zero = torch.zeros_like(maps[level].blend[:, :1])
+        parts = (zero, maps[level].blend, maps[level].around)
+        first, *others = torch.cat(parts, 1).softmax(1).split(1, 1)
         if result is None:
-            itself, *others = torch.cat([zero, logit], 1).softmax(1).split(1, 1)
-            total = itself * own
+            total = first * own
         else:
-            itself, *others, below = torch.cat([logit, zero], 1).softmax(1).split(1, 1)
-            total = itself * own + below * F.interpolate(
-                result, scale_factor=2.0, mode="bilinear", align_corners=False
-            )
+            itself, *others = others
+            total = itself * own + first * doubled(result, maps[level + 1].double)
         weights = (maps[level].importance.exp() * held[level]).split(1, 1)
         # no shares where the finest level has no kernels
         for size, weight, share in zip(options.kernel_sizes, weights, others, strict=False):
             sums, normal = box(torch.cat([weight * own, weight], 1), size).split((3, 1), 1)
             total = total + share * (sums / normal)
+        if maps[level].around.shape[1]:
+            neighbours = zip(shifted(own), others[-len(NEIGHBOURS) :], strict=True)
+            total = total + sum(share * moved for moved, share in neighbours)
         result = total
     assert result is not None
     return result
 
 
+def shifted(planes_nchw: Tensor) -> list[Tensor]:
+    """The eight `NEIGHBOURS` of every pixel, the border repeated."""
+    height, width = planes_nchw.shape[2:]
+    padded = F.pad(planes_nchw, (1, 1, 1, 1), mode="replicate")
+    return [
+        padded[..., 1 + down : 1 + down + height, 1 + right : 1 + right + width]
+        for down, right in NEIGHBOURS
+    ]
+
+
+def doubled(coarser_nchw: Tensor, logits_nchw: Tensor) -> Tensor:
+    """A level at twice its resolution, see `stillray.pyramid.LevelLayout.double`.
+
+    Parameters
+    ----------
+    coarser_nchw : (n, 3, h, w)
+    logits_nchw : (n, 8, h, w)
+        Bounded.
+
+    Returns
+    -------
+    (n, 3, 2 h, 2 w)
+    """
+    height, width = coarser_nchw.shape[2:]
+    padded = F.pad(coarser_nchw, (1, 1, 1, 1), mode="replicate")
+    left, right = (padded[:, :, 1:-1, at : at + width] for at in (0, 2))
+    up, down = (padded[:, :, at : at + height, 1:-1] for at in (0, 2))
+    beside, above = F.pixel_shuffle(logits_nchw.exp(), 2).split(1, 1)
+    own = F.interpolate(coarser_nchw, scale_factor=2.0, mode="nearest")
+    total = 2 * own + beside * _corners(left, right, left, right)
+    total = total + above * _corners(up, up, down, down)
+    return total / (2 + beside + above)
+
+
+def _corners(*corners_nchw: Tensor) -> Tensor:
+    """Top left, top right, bottom left and bottom right pixels of 2x2 blocks as one image."""
+    return F.pixel_shuffle(torch.stack(corners_nchw, 2).flatten(1, 2), 2)
+
+
 def unfold(logits: Sequence[Tensor]) -> tuple[Tensor, ...]:
-    """Logits with those of the finest level as one map, see `stillray.pyramid.Blocks`."""
+    """Logits with those of the finest level as one map, see `stillray.blocks.Blocks`."""
     finest, *coarser = logits
     if finest.shape[2:] == coarser[0].shape[2:]:
         finest = F.pixel_shuffle(finest, 2)
@@ -91,6 +131,8 @@ class _Parts(NamedTuple):
     blend: Tensor
     resolve: Tensor
     renew: Tensor
+    double: Tensor
+    around: Tensor
 
 
 def _parts(logits_nchw: Tensor, layout: LevelLayout, options: PyramidKernels) -> _Parts:
@@ -165,9 +207,7 @@ def resolve(
     weights = _parts(logits_nchw, level_layout(0, 2, options), options).resolve.exp()
     *near, past = weights.split(1, 1)
     past = past * valid_nchw
-    height, width = radiance_nchw.shape[2:]
-    padded = F.pad(radiance_nchw, (1, 1, 1, 1), mode="replicate")
     total = radiance_nchw + past * previous_nchw
-    for weight, (down, right) in zip(near, NEIGHBOURS, strict=True):
-        total = total + weight * padded[..., 1 + down : 1 + down + height, 1 + right :][..., :width]
+    for weight, moved in zip(near, shifted(radiance_nchw), strict=True):
+        total = total + weight * moved
     return total / (1 + weights.sum(1, keepdim=True) - weights[:, -1:] + past)

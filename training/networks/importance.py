@@ -26,7 +26,7 @@ class ImportanceNet(nn.Module):
         network = spec.network
         assert isinstance(network, ImportanceNetwork)
         assert isinstance(spec.decoder, FusedKernels)
-        outputs = 2 * len(spec.decoder.kernel_sizes)
+        outputs = 2 * len(spec.decoder.kernel_sizes) * network.block**2
         widths = (len(network.features), *network.widths, outputs)
         last = len(widths) - 2
         self.blocks = nn.ModuleList(
@@ -36,12 +36,17 @@ class ImportanceNet(nn.Module):
                 network.block_branches(index),
                 identity=network.identity,
                 activation=index != last,
+                block=network.block if index == 0 else 1,
             )
             for index in range(len(widths) - 1)
         )
 
     def forward(self, features_nchw: Tensor) -> Tensor:
-        """``(n, features, h, w)`` to ``(n, 2 m, h, w)``: m importance maps, then m fusion maps."""
+        """``(n, features, h, w)`` to ``(n, 2 m, h, w)``: m importance maps, then m fusion maps.
+
+        On squares of 2x2 pixels ``(n, 8 m, h / 2, w / 2)``: four planes for one, as
+        `stillray.blocks` reads them.
+        """
         for block in self.blocks:
             features_nchw = block(features_nchw)
         return features_nchw

@@ -127,6 +127,14 @@ def kernel_pyramid_net(spec: ModelSpec) -> PyramidNet:
         of_pixels = finest.view(-1, network.block**2)
         of_pixels[level_layout(0, levels, decoder).resolve] = _UNRESOLVED
         of_pixels[level_layout(0, levels, decoder).renew] = _UNRENEWED
+        # and from plain doubling and blending: weights that know no such logits serve as a start
+        for level in range(1, levels):
+            layout = level_layout(level, levels, decoder)
+            for weights in made.heads[level].parameters():
+                weights[layout.double] = weights[layout.around] = 0
+            bias = made.heads[level].bias
+            assert isinstance(bias, Tensor)
+            bias[layout.around] = _UNRESOLVED
     return made
 
 

@@ -28,6 +28,9 @@ class RepVGGBlock(nn.Module):
         Add the identity branch where ``width_in == width_out``.
     activation
         Whether a ReLU follows.
+    block
+        Side of the squares of pixels that it works on: what comes in is read as one pixel a
+        square, of ``width_in`` channels for each of its pixels, and identity means those.
     """
 
     def __init__(
@@ -38,14 +41,17 @@ class RepVGGBlock(nn.Module):
         *,
         identity: bool,
         activation: bool,
+        block: int = 1,
     ) -> None:
         super().__init__()
+        width_in *= block**2
         self.convolutions = nn.ModuleList(
             nn.Conv2d(width_in, width_out, size, padding=size // 2) for size in branches
         )
         self.kernel_size = max(branches)
         self.identity = identity and width_in == width_out
         self.activation = activation
+        self.block = block
         self.merged = True
 
     def branches(self) -> list[nn.Conv2d]:
@@ -70,7 +76,9 @@ class RepVGGBlock(nn.Module):
         return weight, bias
 
     def forward(self, planes_nchw: Tensor) -> Tensor:
-        """``(n, width_in, h, w)`` to ``(n, width_out, h, w)``, borders padded with zeros."""
+        """``(n, width_in, h, w)`` to ``(n, width_out, h / block, w / block)``; zeros outside."""
+        if self.block > 1:
+            planes_nchw = F.pixel_unshuffle(planes_nchw, self.block)
         if self.merged:
             weight, bias = self.fused()
             result = F.conv2d(planes_nchw, weight, bias, padding=self.kernel_size // 2)
