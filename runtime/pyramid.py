@@ -2,139 +2,29 @@
 
 differs: Fan et al. 2021, section 5.2, blend a U-Net's resolutions by eq. 7. Here the weights of a
 coarser level come from the finer one, the blend is one softmax over what a pixel can take (itself,
-its kernels, the coarser level), and the re-modulated result is resolved with its neighbours and
-the previous output, which smooths edges as supersampling would and holds the picture still. Every
-step is a convex combination: no light is invented.
+its kernels, its neighbours, the coarser level, which is doubled by shares of the network's own),
+and the re-modulated result is resolved with its neighbours and the previous output, which smooths
+edges as supersampling would and holds the picture still. Every step is a convex combination: no
+light is invented.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 
 import cv2
 import numpy as np
 
 from stillray.blocks import Blocks
+from stillray.doubling import Doubled
 from stillray.kernels import bounded_exp, box_means
 from stillray.models_spec.loader import ModelSpec, PyramidKernels, PyramidNetwork
 from stillray.prepare import Prepared
+from stillray.pyramid_layout import NEIGHBOURS, LevelLayout, level_layout
 from stillray.resample import halve
 from stillray.scratch import Scratch
 from stillray.strips import Strips, interleave, planes_of, with_halo
 from stillray.timing import timed
-
-#: Neighbours of the resolve in the order of their logits: (rows down, columns right).
-NEIGHBOURS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
-
-
-@dataclass(frozen=True)
-class LevelLayout:
-    """Where the logits of one level lie in its planes.
-
-    Attributes
-    ----------
-    importance
-        One map a kernel.
-    pool
-        Weights for the next coarser level; empty at the coarsest.
-    blend
-        What a pixel takes: at the coarsest level its kernels, against itself at logit 0; elsewhere
-        itself and its kernels, against the coarser level at logit 0.
-    resolve
-        At the finest level the eight `NEIGHBOURS` and the previous output, against the pixel
-        itself at logit 0; empty elsewhere.
-    renew
-        At the finest level how much this frame's sample counts beside what was accumulated, which
-        holds it already; empty elsewhere.
-    around
-        At every level but the finest, where the spec asks for it, the weights of the eight
-        `NEIGHBOURS`, as the blend's; empty elsewhere.
-    double
-        At every level but the finest what the pixels of its 2x2 blocks take of the pixels beside
-        and above or below the block, see `_double`: four maps for the one, four for the other;
-        empty at the finest.
-    """
-
-    importance: slice
-    pool: slice
-    blend: slice
-    resolve: slice
-    renew: slice
-    double: slice
-    around: slice
-
-
-def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayout:
-    """The layout of a level, 0 being the finest."""
-    kernels = len(options.kernel_sizes) if level > 0 or options.finest_kernels else 0
-    coarsest = level == levels - 1
-    counts = (
-        kernels,
-        0 if coarsest else 1,
-        kernels if coarsest else kernels + 1,
-        len(NEIGHBOURS) + 1 if level == 0 else 0,
-        1 if level == 0 else 0,
-        0 if level == 0 else 8,
-        len(NEIGHBOURS) if level > 0 and options.predicted else 0,
-    )
-    starts = [sum(counts[:index]) for index in range(len(counts) + 1)]
-    return LevelLayout(*(slice(a, b) for a, b in pairwise(starts)))
-
-
-def level_logits(level: int, levels: int, options: PyramidKernels) -> int:
-    """Planes that a level's logits have, 0 being the finest."""
-    return level_layout(level, levels, options).around.stop
-
-
-class _Doubled:
-    """A level at twice its resolution: every pixel is a mean of three coarser ones.
-
-    Its own, the one beside and the one above or below, on the pixel's side: twice the first and
-    one each of the others, if their logits are 0, which is what a plane through their centres has
-    there. Where a surface ends, the network leaves out what lies on the other side.
-
-    Parameters
-    ----------
-    light : (3, h + 2, w + 2) float32
-        With its border repeated.
-    logits : (8, h, w) float32
-        Of the pixels beside, then of those above or below, for the top left pixel of each block,
-        the top right, the bottom left, the bottom right.
-    options
-        The bound of the logits.
-    """
-
-    def __init__(self, light: np.ndarray, logits: np.ndarray, options: PyramidKernels) -> None:
-        self._light, self._logits, self._bound = light, logits, options.logit_bound
-
-    def rows(self, rows: slice, out: np.ndarray, scratch: Scratch) -> None:
-        """Write rows of it to ``(3, rows, 2 w)``."""
-        top, bottom = rows.start // 2, -(-rows.stop // 2)
-        width = self._logits.shape[2]
-        beside, above, own, mixed = scratch.array("doubled", (4, bottom - top, width))
-        for line, column in np.ndindex(2, 2):
-            corner = 2 * line + column
-            bounded_exp(self._logits[corner, top:bottom], self._bound, beside)
-            bounded_exp(self._logits[4 + corner, top:bottom], self._bound, above)
-            np.add(beside, above, out=own)
-            own += 2
-            np.reciprocal(own, out=own)
-            beside *= own
-            above *= own
-            own *= 2
-            # rows of this line: the first or the last may lie outside of what is asked for
-            first, end = 2 * top + line - rows.start, 2 * bottom - 2 + line - rows.start
-            inside = slice(first < 0, bottom - top - (end >= rows.stop - rows.start))
-            for plane, target in zip(self._light, out, strict=True):
-                middle = plane[1 + top : 1 + bottom]
-                np.multiply(middle[:, 1:-1], own, out=mixed)
-                side = middle[:, 2 * column : 2 * column + width]
-                cv2.accumulateProduct(side, beside, mixed)
-                over = plane[top + 2 * line : bottom + 2 * line, 1:-1]
-                cv2.accumulateProduct(over, above, mixed)
-                target[first % 2 :: 2, column::2] = mixed[inside]
 
 
 def multiple(spec: ModelSpec) -> int:
@@ -264,11 +154,11 @@ def _filtered(
     for level in range(levels - 1):
         pool = level_layout(level, levels, options).pool
         pyramid.append(_pool(pyramid[-1], maps[level], pool, options, strips))
-    coarser: _Doubled | None = None
+    coarser: Doubled | None = None
     for level in reversed(range(1, levels)):
         layout = level_layout(level, levels, options)
         light = _blended(pyramid[level], coarser, maps[level], layout, options, strips)
-        coarser = _Doubled(light, logits[level][layout.double], options)
+        coarser = Doubled(light, logits[level][layout.double], options)
     image = np.empty((height, width, 3), np.float32)
 
     def finish(rows: slice) -> None:
@@ -377,7 +267,7 @@ def _pool(
 
 def _blended(
     planes: np.ndarray,
-    coarser: _Doubled | None,
+    coarser: Doubled | None,
     logits: np.ndarray | Blocks,
     layout: LevelLayout,
     options: PyramidKernels,
@@ -400,7 +290,7 @@ def _blended(
 def _blend(
     rows: slice,
     planes: np.ndarray,
-    coarser: _Doubled | None,
+    coarser: Doubled | None,
     logits: np.ndarray | Blocks,
     layout: LevelLayout,
     options: PyramidKernels,

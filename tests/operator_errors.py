@@ -18,6 +18,7 @@ from stillray import (
     encode,
     kernels,
     pyramid,
+    pyramid_layout,
     recall,
     repair,
     reproject,
@@ -267,7 +268,7 @@ def _pyramid(given: Inputs) -> float:
     past = np.dstack([given["past"], given["valid"]])
     logits, start = [], 0
     for level in range(2):
-        count = pyramid.level_logits(level, 2, _PYRAMID)
+        count = pyramid_layout.level_logits(level, 2, _PYRAMID)
         size = tuple(extent >> level for extent in mean.shape[:2])
         part = given["logits"][start : start + count * size[0] * size[1]]
         logits.append(part.reshape(count, *size))
@@ -306,7 +307,7 @@ def _radiance(*shape: int) -> tuple[tuple[int, ...], float, float, bool]:
 _H, _W = 8, 10
 _SAMPLES = ((_H, _W), 1e-6, 17.0, True)
 _LOGITS = sum(
-    pyramid.level_logits(level, 2, _PYRAMID) * (_H >> level) * (_W >> level)  # type: ignore[arg-type]
+    pyramid_layout.level_logits(level, 2, _PYRAMID) * (_H >> level) * (_W >> level)  # type: ignore[arg-type]
     for level in range(2)
 )
 

@@ -6,7 +6,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from stillray import pyramid  # noqa: E402
+from stillray import pyramid_layout  # noqa: E402
 from stillray.export.fuse import fuse  # noqa: E402
 from stillray.models_spec import load  # noqa: E402
 from stillray.training.families import FAMILIES  # noqa: E402
@@ -114,7 +114,7 @@ def test_pyramid_gives_a_map_a_level_and_starts_unresolved():
     features = torch.zeros(2, len(spec.network.features), 32, 48)
     maps = network(features)
     assert [tuple(level.shape[2:]) for level in maps] == [(32 >> i, 48 >> i) for i in range(5)]
-    resolve = pyramid.level_layout(0, 5, spec.decoder).resolve
+    resolve = pyramid_layout.level_layout(0, 5, spec.decoder).resolve
     assert float(maps[0][:, resolve].mean()) < -2
 
 
@@ -126,9 +126,9 @@ def test_a_pyramid_that_works_on_blocks_gives_four_planes_for_one_and_the_blocks
     assert [tuple(level.shape[2:]) for level in maps] == [(16, 24)] + [
         (32 >> i, 48 >> i) for i in range(1, 5)
     ]
-    planes = [pyramid.level_logits(level, 5, spec.decoder) for level in range(5)]
+    planes = [pyramid_layout.level_logits(level, 5, spec.decoder) for level in range(5)]
     assert [level.shape[1] for level in maps] == [4 * planes[0], *planes[1:]]
-    resolve = pyramid.level_layout(0, 5, spec.decoder).resolve
+    resolve = pyramid_layout.level_layout(0, 5, spec.decoder).resolve
     assert float(torch.pixel_shuffle(maps[0], 2)[:, resolve].mean()) < -2
 
 

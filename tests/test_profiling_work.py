@@ -16,8 +16,9 @@ from stillray.registry import find_model  # noqa: E402
 
 
 def test_a_chain_of_convolutions_is_counted_by_hand():
-    products = 5 * 5 * (8 * 16 + 16 * 16 + 16 * 12)
-    assert network_work(find_model("wskp-3").path, 33, 18).operations == 2 * products * 33 * 18
+    # 6x6 pixels make a square of 2x2, 3x3 of those the next, and twelve logits a pixel in the end
+    products = 6 * 6 * 8 * 32 + 3 * 3 * (32 * 32 + 32 * 4 * 12)
+    assert network_work(find_model("wskp-3").path, 34, 18).operations == 2 * products * 17 * 9
 
 
 def test_strided_and_coarse_convolutions_count_at_their_own_size(tmp_path):

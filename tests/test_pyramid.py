@@ -7,6 +7,7 @@ import pytest
 
 from stillray import pyramid
 from stillray.models_spec import load
+from stillray.pyramid_layout import level_layout, level_logits
 from stillray.strips import Strips
 from tests import oracles
 
@@ -31,7 +32,10 @@ def draw(height, width, seed=0, spread=2.0, options=OPTIONS):
     )
     logits = [
         rng.normal(
-            size=(pyramid.level_logits(level, LEVELS, options), *(s >> level for s in padded))
+            size=(
+                level_logits(level, LEVELS, options),
+                *(s >> level for s in padded),
+            )
         )
         * spread
         for level in range(LEVELS)
@@ -92,7 +96,7 @@ def coarser_alone(light, beside, above):
     options = dataclasses.replace(OPTIONS, kernel_sizes=(1,), finest_kernels=False)
     height, width = light.shape[:2]
     fine = np.repeat(np.repeat(light, 2, 0), 2, 1)
-    layouts = [pyramid.level_layout(level, 2, options) for level in range(2)]
+    layouts = [level_layout(level, 2, options) for level in range(2)]
     logits = [
         np.zeros((layout.double.stop, height * scale, width * scale), np.float32)
         for layout, scale in zip(layouts, (2, 1), strict=True)

@@ -19,6 +19,7 @@ from stillray.families import FAMILIES
 from stillray.frame import Frame
 from stillray.models_spec.loader import BilateralGrids, FusedKernels, ModelSpec, PyramidKernels
 from stillray.profiling.machine import Peaks
+from stillray.pyramid_layout import level_logits
 from stillray.registry import ModelInfo
 from stillray.session import open_session
 
@@ -108,8 +109,6 @@ def _kernels(spec: ModelSpec) -> tuple[float, float]:
 
 
 def _pyramid(spec: ModelSpec) -> tuple[float, float]:
-    from stillray.pyramid import level_logits
-
     assert isinstance(spec.decoder, PyramidKernels)
     levels = FAMILIES[spec.family].multiple(spec).bit_length()
     operations, planes = 0.0, 3.0 + 3.0 + 4.0  # divisor, image, the previous output

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stillray.models_spec.loader import PyramidKernels
-from stillray.pyramid import NEIGHBOURS, LevelLayout, level_layout
+from stillray.pyramid_layout import NEIGHBOURS, LevelLayout, level_layout
 from stillray.training.decoders.boxes import BoxMean
 
 
@@ -31,7 +31,7 @@ def kernel_pyramid(
     samples_nchw : (n, 1, h, w)
         Samples that each pixel holds, > 0.
     logits
-        One map a level, finest first, see `stillray.pyramid.level_layout`.
+        One map a level, finest first, see `stillray.pyramid_layout.level_layout`.
     options
         Kernel sizes and the bound of the logits.
     box
@@ -87,7 +87,7 @@ def shifted(planes_nchw: Tensor) -> list[Tensor]:
 
 
 def doubled(coarser_nchw: Tensor, logits_nchw: Tensor) -> Tensor:
-    """A level at twice its resolution, see `stillray.pyramid.LevelLayout.double`.
+    """A level at twice its resolution, see `stillray.doubling`.
 
     Parameters
     ----------

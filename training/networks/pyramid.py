@@ -12,7 +12,7 @@ from torch.nn import functional as F
 from stillray.models_spec import ModelSpec
 from stillray.models_spec.loader import FusedKernels, PyramidKernels, PyramidNetwork
 from stillray.multires import level_planes
-from stillray.pyramid import level_layout, level_logits
+from stillray.pyramid_layout import level_layout, level_logits
 from stillray.training.networks.repvgg import RepVGGBlock
 
 _UNRESOLVED = -3.0  # logit of a neighbour against the pixel itself, before training
