@@ -1,4 +1,4 @@
-"""The loop that renders references, against Mitsuba's own; pictures' scale in the meshes."""
+"""The loop that renders references, against Mitsuba's own."""
 
 from __future__ import annotations
 
@@ -9,15 +9,12 @@ import pytest
 
 pytest.importorskip("mitsuba")
 
-from stillray.training.simulate import stage as stage_module
 from stillray.training.simulate import trace
 from stillray.training.simulate.mesh import quad, sphere
 from stillray.training.simulate.relay import relay_radiance
-from stillray.training.simulate.stage import _unscaled
-from stillray.training.simulate.textures import Texture
 from stillray.training.simulate.variant import load_mitsuba
 from stillray.training.simulate.world import Lamp, Piece, Surface, World
-from tests.simulate_worlds import everything, exact, moment, noisy, stage_of
+from tests.simulate_worlds import everything, exact, moment, stage_of
 
 EFFECTS = ("soft_shadow", "texture", "glossy", "mirror_glass", "environment", "sun")
 
@@ -48,7 +45,9 @@ def test_it_is_the_estimator_of_mitsubas_own_loop(mi, depth):
     def blocks(image):
         return image.reshape(4, 4, 4, 4, 3).mean(axis=(1, 3))
 
-    own = np.array([blocks(relay_radiance(stage, stage.sensor, 160, seed)) for seed in range(12)])
+    own = np.array(
+        [blocks(relay_radiance(stage, stage.sensor, 160, seed, 1 << 22)) for seed in range(12)]
+    )
     their = np.array(
         [blocks(trace._radiance_jit(stage, stage.sensor, 160, 500 + seed)) for seed in range(12)]
     )
@@ -75,42 +74,8 @@ def test_the_same_seed_gives_the_same_pixels_and_another_others(mi):
 
 def test_a_medium_goes_to_mitsubas_volumetric_loop(mi):
     clear, foggy = (
-        exact(mi, everything(), ("soft_shadow", *more), spp=64).mean() for more in ((), ("medium",))
+        exact(mi, everything(), ("soft_shadow", *more), spp=64) for more in ((), ("medium",))
     )
-    assert 0.2 * clear < foggy < 0.97 * clear
-
-
-def test_pictures_lie_where_they_lay_before_their_scale_moved_into_the_mesh(mi, monkeypatch):
-    worlds = []
-    for _ in range(2):
-        worlds.append(noisy(mi, everything(), ("texture", "glossy"), spp=4, guides=("roughness",)))
-        monkeypatch.setattr(stage_module, "_unscaled", lambda node: (node, np.ones(2)))
-    scaled, plain = worlds
-    assert plain["albedo"].std() > 0.1
-    for name in ("albedo", "roughness"):
-        assert (np.abs(scaled[name] - plain[name]) < 1e-3).mean() > 0.99
-
-
-def test_a_material_with_pictures_of_two_sizes_keeps_both(mi):
-    def pictures(roughness_size):
-        surface = Surface(
-            color=(0.5,) * 3,
-            metal=True,
-            roughness=0.3,
-            texture=Texture(kind="checker", seed=1, low=(0.1,) * 3, high=(0.9,) * 3, size=2.0),
-            roughness_texture=Texture(
-                kind="checker", seed=2, low=(0.1,) * 3, high=(0.5,) * 3, size=roughness_size
-            ),
-        )
-        world = World(label="t", pieces=[Piece(mesh=sphere([0, 0, 0], 1), surface=surface)])
-        lamp = Lamp(mesh=sphere([0, 3, 0], 0.1), radiance=(9,) * 3, around=True)
-        stage = stage_of(mi, replace(world, lamps=[lamp]), ("texture", "glossy"))
-        (node,) = stage.plan.materials.values()
-        return _unscaled(node)
-
-    node, scale = pictures(2.0)
-    assert not any("to_uv" in n.params for n in node.walk())
-    np.testing.assert_array_equal(scale, [0.5, 0.5])
-    node, scale = pictures(0.5)
-    assert sorted(n.params["to_uv"][0, 0] for n in node.walk() if "to_uv" in n.params) == [0.5, 2.0]
-    np.testing.assert_array_equal(scale, [1, 1])
+    empty = (clear == 0).all(axis=-1)
+    assert empty.mean() > 0.1
+    assert (foggy[empty] > 0).any(axis=-1).mean() > 0.9  # the air shines

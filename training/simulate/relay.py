@@ -4,8 +4,8 @@ Mitsuba's own loop runs a packet of paths until the longest of them has ended, m
 idle. Here a lane takes several samples of its pixel one after the other, which ends packets almost
 together. It is the estimator of Mitsuba's ``path`` (next event estimation, power heuristic, Russian
 roulette) but for two things that change no value: whether a light is hidden is asked after the
-material, and only where the material sends some of that light on; and surfaces are not
-differentiated.
+material, and only where the material sends some of that light on; and the derivatives of surfaces
+are left out where no material asks for them.
 """
 
 from __future__ import annotations
@@ -18,10 +18,9 @@ from stillray.training.simulate.plan import REFERENCE_ROULETTE
 from stillray.training.simulate.stage import Stage
 
 _TURNS = 64  # samples that a lane takes: with 16 a room took 1.03 times as long, with 4 1.07 times
-_LANES = 1 << 22  # a launch: bounds the memory
 
 
-def relay_radiance(stage: Stage, sensor: Any, spp: int, seed: int) -> np.ndarray:
+def relay_radiance(stage: Stage, sensor: Any, spp: int, seed: int, most: int) -> np.ndarray:
     """Mean radiance of camera samples on surfaces and lights, for JIT variants.
 
     Parameters
@@ -34,6 +33,8 @@ def relay_radiance(stage: Stage, sensor: Any, spp: int, seed: int) -> np.ndarray
         Samples a pixel, 1 or more.
     seed
         The same seed gives the same pixels.
+    most
+        Lanes that may be side by side, which bounds the memory; a pixel has one at least.
 
     Returns
     -------
@@ -44,7 +45,7 @@ def relay_radiance(stage: Stage, sensor: Any, spp: int, seed: int) -> np.ndarray
 
     mi = stage.mi
     width, height = (int(v) for v in np.array(sensor.film().size()))
-    lanes = max(1, min(-(-spp // _TURNS), _LANES // (height * width)))  # of each pixel
+    lanes = max(1, min(-(-spp // _TURNS), most // (height * width)))  # of each pixel
     count = height * width * lanes
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, count)
@@ -117,10 +118,10 @@ def _vertex(stage: Stage, state: dict[str, Any]) -> None:
     mi, scene, sampler = stage.mi, stage.scene, state["sampler"]
     longest = int(stage.plan.integrator.params["max_depth"])
     throughput, smooth = state["throughput"], state["smooth"]
-    # no derivatives of position: nothing here asks for them
-    si = scene.ray_intersect(
-        state["ray"], mi.RayFlags.UV | mi.RayFlags.ShadingFrame, mi.Bool(False), mi.Bool(True)
-    )
+    flags = mi.RayFlags.UV | mi.RayFlags.ShadingFrame
+    if stage.plan.world.file:
+        flags = mi.RayFlags.All  # files may have bumps, and lobes longer than wide
+    si = scene.ray_intersect(state["ray"], flags, mi.Bool(False), mi.Bool(True))
     # a light that was hit, which could have been drawn from the vertex before too
     before = dr.zeros(mi.Interaction3f)
     before.p = state["before"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -42,7 +41,6 @@ class Stage:
         self.mi, self.plan = mi, plan
         self.height, self.width = height, width
         self.groups = list(plan.motions)
-        self._materials = {key: _unscaled(node) for key, node in plan.materials.items()}
         objects = self._file_objects()
         moving = {name: objects[name] for name in self.groups if name in objects}
         objects.update(self._meshes())
@@ -120,7 +118,7 @@ class Stage:
         for shape in self.scene.shapes():
             planned = self.plan.shapes.get(shape.id())
             if planned is not None and planned.material:
-                value = _alpha(self._materials[planned.material][0])
+                value = _alpha(self.plan.materials[planned.material])
             else:
                 value = 1.0 if planned is not None else _file_alpha(self.mi, shape.bsdf())
             if isinstance(value, Node):
@@ -152,15 +150,13 @@ class Stage:
     def _meshes(self) -> dict[str, Any]:
         materials = {
             key: self.mi.load_dict(to_mitsuba(self.mi, node))
-            for key, (node, _) in self._materials.items()
+            for key, node in self.plan.materials.items()
         }
         dark = None
         objects = {}
         for name, shape in self.plan.shapes.items():
             if shape.emitter is None:
-                scale = self._materials[shape.material][1]
-                mesh = replace(shape.mesh, uvs=shape.mesh.uvs * scale)
-                objects[name] = _mesh(self.mi, name, mesh, materials[shape.material], None)
+                objects[name] = _mesh(self.mi, name, shape.mesh, materials[shape.material], None)
             else:
                 dark = dark or self.mi.load_dict(
                     {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
@@ -201,27 +197,6 @@ class Stage:
             "bsdf": {"type": "null"},
             "interior": medium,
         }
-
-
-def _unscaled(node: Node) -> tuple[Node, np.ndarray]:
-    """A material without the scale of its pictures, and what to scale the mesh's ``u, v`` by.
-
-    The scale is a literal in the compiled code of a material. Without it, materials that differ in
-    it alone share one function: rooms have a third fewer, and packets call fewer of them in turn.
-    """
-    transforms = [n.params["to_uv"] for n in node.walk() if "to_uv" in n.params]
-    if not transforms or any((t != transforms[0]).any() for t in transforms):
-        return node, np.ones(2)
-    return _without_transform(node), np.diag(transforms[0])[:2]
-
-
-def _without_transform(node: Node) -> Node:
-    params = {
-        name: _without_transform(value) if isinstance(value, Node) else value
-        for name, value in node.params.items()
-        if name != "to_uv"
-    }
-    return replace(node, params=params)
 
 
 def _mesh(mi: Any, name: str, mesh: Mesh, bsdf: Any, emitter: Node | None) -> Any:
