@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from stillray.training.simulate.relay import relay_radiance
 from stillray.training.simulate.stage import HULL, Stage
 
 _LANES = 1 << 22  # samples a launch: bounds the memory
@@ -61,6 +62,8 @@ def first_hits(
 def radiance(stage: Stage, sensor: Any, spp: int, seed: int) -> np.ndarray:
     """Mean radiance ``(h, w, 3)`` of that many samples a pixel, in launches of bounded memory."""
     mi = stage.mi
+    if "scalar" not in mi.variant() and stage.plan.integrator.plugin == "path":
+        return np.asarray(relay_radiance(stage, sensor, spp, seed, _LANES), np.float32)
     width, height = (int(v) for v in np.array(sensor.film().size()))
     total = np.zeros((height, width, 3))
     for index, count in enumerate(launches(spp, height * width)):
