@@ -39,7 +39,8 @@ def reach(spec: ModelSpec) -> int:
     coarsest = multiple(spec)
     # doubling looks into the neighbouring cell: 1.5 cells of every level above the finest,
     # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, and the resolve
-    return 3 * (coarsest - 1) + max(spec.decoder.kernel_sizes) // 2 * coarsest + 1
+    radius = max(max(spec.decoder.kernel_sizes) // 2, int(spec.decoder.predicted))
+    return 3 * (coarsest - 1) + radius * coarsest + 1
 
 
 def receptive_field(spec: ModelSpec) -> int:
@@ -144,20 +145,29 @@ def _filtered(
     maps: list[np.ndarray | Blocks] = list(logits)
     if levels > 1 and logits[0].shape[1:] == logits[1].shape[1:]:
         maps[0] = Blocks(logits[0], strips)
-    bottom, right = (full - size for full, size in zip(maps[0].shape[1:], mean.shape, strict=False))
+    full = (*maps[0].shape[1:], 4)
+    bottom, right = full[0] - mean.shape[0], full[1] - mean.shape[1]
     if bottom or right:
-        border = (0, bottom, 0, right, cv2.BORDER_REPLICATE)
-        sample = None if sample is None else cv2.copyMakeBorder(sample, *border)
-        mean = cv2.copyMakeBorder(mean, *border)
+        mean = _extended(mean, bottom, right, strips.scratch.array("extended", full))
+        if sample is not None:
+            full_sample = strips.scratch.array("extended sample", full)
+            sample = _extended(sample, bottom, right, full_sample)
     finest = level_layout(0, levels, options)
     pyramid = [_renewed(mean, sample, maps[0], finest.renew, options, strips)]
     for level in range(levels - 1):
         pool = level_layout(level, levels, options).pool
-        pyramid.append(_pool(pyramid[-1], maps[level], pool, options, strips))
+        # levels lie in the scratch of this thread from frame to frame
+        coarse = strips.scratch.array(
+            f"pyramid {level + 1}", (4, *(size // 2 for size in pyramid[-1].shape[1:]))
+        )
+        _pool(pyramid[-1], maps[level], pool, options, strips, coarse)
+        pyramid.append(coarse)
     coarser: Doubled | None = None
     for level in reversed(range(1, levels)):
         layout = level_layout(level, levels, options)
-        light = _blended(pyramid[level], coarser, maps[level], layout, options, strips)
+        padded = (3, *(size + 2 for size in pyramid[level].shape[1:]))
+        light = strips.scratch.array(f"blended {level}", padded)
+        _blended(pyramid[level], coarser, maps[level], layout, options, strips, light)
         coarser = Doubled(light, logits[level][layout.double], options)
     image = np.empty((height, width, 3), np.float32)
 
@@ -195,6 +205,11 @@ def _filtered(
     return image
 
 
+def _extended(image: np.ndarray, bottom: int, right: int, out: np.ndarray) -> np.ndarray:
+    """``(h, w, 4)`` with its last row and column repeated."""
+    return cv2.copyMakeBorder(image, 0, bottom, 0, right, cv2.BORDER_REPLICATE, dst=out)
+
+
 def _renewed(
     mean: np.ndarray,
     sample: np.ndarray | None,
@@ -208,7 +223,7 @@ def _renewed(
     A past that no longer holds (a mirror's picture moves otherwise than the mirror, a shadow
     passes over a surface that stays) is known to the network, not to the geometry.
     """
-    planes = np.empty((4, *mean.shape[:2]), np.float32)
+    planes = strips.scratch.array("pyramid 0", (4, *mean.shape[:2]))
 
     def work(rows: slice) -> None:
         scratch = strips.scratch
@@ -241,10 +256,10 @@ def _pool(
     pool: slice,
     options: PyramidKernels,
     strips: Strips,
-) -> np.ndarray:
+    coarse: np.ndarray,
+) -> None:
     """The next coarser level of ``(4, h, w)`` light and samples: weighted means of 2x2 blocks."""
-    height, width = (size // 2 for size in fine.shape[1:])
-    coarse = np.empty((4, height, width), np.float32)
+    height, width = coarse.shape[1:]
 
     def work(rows: slice) -> None:
         scratch = strips.scratch
@@ -262,7 +277,6 @@ def _pool(
             np.multiply(halve(product), held, out=coarse[channel, rows])
 
     strips.run(work, height, width)
-    return coarse
 
 
 def _blended(
@@ -272,10 +286,10 @@ def _blended(
     layout: LevelLayout,
     options: PyramidKernels,
     strips: Strips,
-) -> np.ndarray:
+    result: np.ndarray,
+) -> None:
     """A whole level with its border repeated, ``(3, h + 2, w + 2)``."""
     height, width = planes.shape[1:]
-    result = np.empty((3, height + 2, width + 2), np.float32)
     inner = result[:, 1:-1, 1:-1]
 
     def work(rows: slice) -> None:
@@ -284,7 +298,6 @@ def _blended(
     strips.run(work, height, width)
     result[:, 0], result[:, -1] = result[:, 1], result[:, -2]
     result[..., 0], result[..., -1] = result[..., 1], result[..., -2]
-    return result
 
 
 def _blend(

@@ -93,7 +93,7 @@ def test_logits_that_come_by_blocks_are_those_of_the_pixels(height, width):
 
 def coarser_alone(light, beside, above):
     """A finest level that takes nothing but the coarser one, of this light and these logits."""
-    options = dataclasses.replace(OPTIONS, kernel_sizes=(1,), finest_kernels=False)
+    options = dataclasses.replace(OPTIONS, kernel_sizes=(1,), finest_kernels=False, predicted=False)
     height, width = light.shape[:2]
     fine = np.repeat(np.repeat(light, 2, 0), 2, 1)
     layouts = [level_layout(level, 2, options) for level in range(2)]

@@ -120,7 +120,8 @@ def _pyramid(spec: ModelSpec) -> tuple[float, float]:
         # their shares and of each channel three products
         kernels = maps * (1 + 3 + 4 * _WINDOW_SUM + 1 + 3 * 2 + 1)
         doubled = 4 * (6 + 3 * 5) if level else 0
-        operations += share * (logits * _EXP + kernels + 3 * 4 + 4 * 2 + doubled)
+        neighbours = 8 * (1 + 3 * 2) if level and spec.decoder.predicted else 0
+        operations += share * (logits * _EXP + kernels + 3 * 4 + 4 * 2 + doubled + neighbours)
         planes += share * (logits + 4 + 4)  # light read and the level's result written
     resolve = 9 * (1 + 3 * 2) + 3 + 3  # eight neighbours and the past; normalised, modulated
     return operations + resolve, planes

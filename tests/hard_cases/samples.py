@@ -55,6 +55,7 @@ def _peak(denoiser: stillray.Denoiser, before: int, after: int) -> float:
     "a firefly of 1e3 to 3e38 in the first frame",
     "largest pixel / the same without it",
     6,
+    kpyr_5s=_TRUSTS_SAMPLES,
     nbg_2x1="one grid spreads a firefly over 6 pixels to each side, too few to bring it down",
 )
 def firefly_in_the_first_frame(denoiser: stillray.Denoiser) -> float:
@@ -105,6 +106,7 @@ def _clusters(denoiser: stillray.Denoiser, brightness: float, after: int) -> flo
     "largest pixel / the same without it",
     100,
     kpyr_5=_TRUSTS_SAMPLES,
+    kpyr_5s=_TRUSTS_SAMPLES,
     nbg_7x3=_TRAINED_ON_CLEAN,
     wskp_mr=_TRUSTS_SAMPLES,
 )
@@ -117,6 +119,7 @@ def cluster_of_fireflies(denoiser: stillray.Denoiser) -> float:
     "largest pixel / the same without it",
     100,
     kpyr_5=_TRUSTS_SAMPLES,
+    kpyr_5s=_TRUSTS_SAMPLES,
     nbg_7x3=_TRAINED_ON_CLEAN,
     wskp_mr=_TRUSTS_SAMPLES,
 )

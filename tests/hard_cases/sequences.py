@@ -59,6 +59,7 @@ _KERNELS_MOVE_LIGHT = (
     "relative error of its light",
     1e-3,
     kpyr_5=_KERNELS_MOVE_LIGHT,
+    kpyr_5s=_KERNELS_MOVE_LIGHT,
     nbg_7x3=_KERNELS_MOVE_LIGHT,
     wskp_3=_KERNELS_MOVE_LIGHT,
     wskp_6=_KERNELS_MOVE_LIGHT,

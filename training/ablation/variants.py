@@ -1,9 +1,7 @@
 """The study as data: variants of one model, trained alike, and the comparisons they are made for.
 
-All start from the specification of `BASE`, with the network and the loss that the paper has (the
-shipped one works on squares of pixels and is trained by more), or from that of `MULTI_RESOLUTION`,
-and differ from it in what their names say: features, accumulation, demodulation, loss, patches and
-steps are the same.
+All start from the specification of `BASE`, or of `MULTI_RESOLUTION`, and differ from it in what
+their names say: features, accumulation, demodulation, loss, patches and steps are the same.
 """
 
 from __future__ import annotations
@@ -24,7 +22,6 @@ OTHER_SEED = "wskp-6, other seed"
 ONE_FRAME = (BASE, "wskp-3", "KP")
 SIZES = (3, 5, 7, 9, 11, 13)  # pixels, of the six fused kernels
 _WIDTH = 16  # channels between blocks
-_BRANCHES = (5, 3, 1)  # pixels, of the convolutions of a block
 KERNEL_COUNTS = tuple(range(1, len(SIZES) + 1))
 # Short, so that the whole study fits into an hour of one core; the rest is the base's recipe.
 _STEPS, _BATCH, _PATCH = 600, 4, 64
@@ -131,9 +128,9 @@ COMPARISONS = (
     Comparison(
         title="Kernels that neighbours share, against kernels predicted directly",
         source="Fan et al. 2021, tables 1 to 4 and 6, and table 7 of the supplement; wskp-6 is the "
-        "paper's six-layer model, wskp-3 its three-layer model, with 6 fused kernels each (those "
-        "that are shipped work on squares of 2x2 pixels); KP "
-        "predicts 13x13 kernels with six blocks, KP-1 with two, KP-2 7x7 kernels with five; "
+        "paper's six-layer model, wskp-3 its three-layer model, with 6 fused kernels each (the "
+        "wskp-3 that is shipped works on squares of 2x2 pixels); KP predicts 13x13 kernels with "
+        "six blocks, KP-1 with two, KP-2 7x7 kernels with five; "
         "wskp-mr is its multi-resolution model, a U-Net with fused kernels of 3x3 and 5x5 at each "
         "of three resolutions, where MR-KP predicts 5x5 kernels with the same U-Net",
         variants=(BASE, "wskp-3", "KP", "KP-1", "KP-2", MULTI_RESOLUTION, "MR-KP"),
@@ -168,16 +165,7 @@ COMPARISONS = (
 
 def _base() -> ModelSpec:
     spec = _with(load(BASE), BASE)
-    training = dataclasses.replace(
-        spec.training,
-        steps=_STEPS,
-        batch=_BATCH,
-        patch=_PATCH,
-        display_weight=0.0,
-        squared_weight=0.0,
-        structure_weight=0.0,
-        quiet_share=0.0,
-    )
+    training = dataclasses.replace(spec.training, steps=_STEPS, batch=_BATCH, patch=_PATCH)
     # as in the papers: multiplied by the frame's own albedo
     temporal = dataclasses.replace(spec.temporal, albedo_samples=0.0)
     return dataclasses.replace(spec, training=training, temporal=temporal)
@@ -194,10 +182,8 @@ def _with(
         aliases=(),
         network=dataclasses.replace(
             spec.network,
-            block=1,
             widths=(_WIDTH,) * (blocks - 1),
-            kernel_sizes=_BRANCHES[:1] * blocks,
-            branches=_BRANCHES,
+            kernel_sizes=spec.network.kernel_sizes[:1] * blocks,
         ),
         decoder=dataclasses.replace(spec.decoder, kernel_sizes=sizes),
     )

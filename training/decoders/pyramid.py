@@ -56,8 +56,8 @@ def kernel_pyramid(
     for level in reversed(range(levels)):
         own = light[level]
         zero = torch.zeros_like(maps[level].blend[:, :1])
-        parts = (zero, maps[level].blend, maps[level].around)
-        first, *others = torch.cat(parts, 1).softmax(1).split(1, 1)
+        logit = torch.cat([zero, maps[level].blend, maps[level].around], 1)
+        first, *others = logit.softmax(1).split(1, 1)
         if result is None:
             total = first * own
         else:
