@@ -213,7 +213,7 @@ def time_reconstruction(
     rounds
         How often each is run.
     """
-    base = find_model("wskp-3").spec
+    base = find_model("wskp-6").spec  # whose logits come by pixels
     strips = Strips(threads)
     frame = open_clip(size=size).frames[0]
     prepared = prepare(frame, base, None, strips, {})
