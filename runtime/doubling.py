@@ -40,12 +40,13 @@ class Doubled:
             corner = 2 * line + column
             bounded_exp(self._logits[corner, top:bottom], self._bound, beside)
             bounded_exp(self._logits[4 + corner, top:bottom], self._bound, above)
-            np.add(beside, above, out=own)
-            own += 2
-            np.reciprocal(own, out=own)
-            beside *= own
-            above *= own
-            own *= 2
+            with np.errstate(invalid="ignore"):  # a NaN logit: the caller finds it in the image
+                np.add(beside, above, out=own)
+                own += 2
+                np.reciprocal(own, out=own)
+                beside *= own
+                above *= own
+                own *= 2
             # rows of this line: the first or the last may lie outside of what is asked for
             first, end = 2 * top + line - rows.start, 2 * bottom - 2 + line - rows.start
             inside = slice(first < 0, bottom - top - (end >= rows.stop - rows.start))
