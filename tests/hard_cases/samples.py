@@ -76,7 +76,7 @@ def firefly_four_frames_later(denoiser: stillray.Denoiser) -> float:
     "largest pixel / the same without it",
     4,
     nbg_7x3=_TRAINED_ON_CLEAN,
-    wskp_3="a fifth above the limit since it reads eight features; why was not found",
+    wskp_3="a third above the limit since it reads eight features; why was not found",
 )
 def firefly_in_an_old_history(denoiser: stillray.Denoiser) -> float:
     return _peak(denoiser, 20, 0)
