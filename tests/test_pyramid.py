@@ -10,6 +10,7 @@ from stillray.models_spec import load
 from stillray.pyramid_layout import level_layout, level_logits
 from stillray.strips import Strips
 from tests import oracles
+from tests.test_blocks import by_blocks
 
 OPTIONS = load("kpyr-5").decoder
 LEVELS = 3  # what is tested holds for any number; three keep the oracle quick
@@ -81,10 +82,7 @@ def test_predicted_weights_of_neighbours_equal_the_loop_oracle(height, width):
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (9, 14), (150, 70)])
 def test_logits_that_come_by_blocks_are_those_of_the_pixels(height, width):
     *buffers, logits = draw(height, width)
-    planes, rows, columns = logits[0].shape
-    blocks = np.zeros((4 * planes, rows // 2, columns // 2), np.float32)
-    for plane, y, x in np.ndindex(planes, rows, columns):
-        blocks[4 * plane + 2 * (y % 2) + x % 2, y // 2, x // 2] = logits[0][plane, y, x]
+    blocks = by_blocks(logits[0])
     expected = pyramid.filter_pyramid(*buffers, logits, OPTIONS, Strips(1))
     for threads in (1, 3):
         got = pyramid.filter_pyramid(*buffers, [blocks, *logits[1:]], OPTIONS, Strips(threads))
