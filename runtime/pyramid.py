@@ -192,11 +192,7 @@ def _filtered(
             by = strips.scratch.array("by", (3, around.stop - around.start, width))
             padded[:, filled, 1 : 1 + width] *= planes_of(divisor[around], out=by)
         padded = padded[:, :, : width + 2]
-        padded[:, :, 0], padded[:, :, -1] = padded[:, :, 1], padded[:, :, -2]
-        if rows.start == 0:
-            padded[:, 0] = padded[:, 1]
-        if rows.stop == height:
-            padded[:, -1] = padded[:, -2]
+        _repeat_border(padded, top=rows.start == 0, bottom=rows.stop == height)
         past = None if previous is None else previous[rows]
         resolve = maps[0][finest.resolve, rows][..., :width]
         _resolve(padded, resolve, past, options, image[rows], strips.scratch)
@@ -296,8 +292,7 @@ def _blended(
         _blend(rows, planes, coarser, logits, layout, options, inner[:, rows], strips.scratch)
 
     strips.run(work, height, width)
-    result[:, 0], result[:, -1] = result[:, 1], result[:, -2]
-    result[..., 0], result[..., -1] = result[..., 1], result[..., -2]
+    _repeat_border(result, top=True, bottom=True)
 
 
 def _blend(
@@ -359,14 +354,12 @@ def _blend(
             np.multiply(weight, plane[near], out=product)
             cv2.accumulateProduct(box_means(product, size, box)[inner], share, sums)
     if layout.around.stop > layout.around.start:
-        padded = _padded(planes[:3], rows, scratch)
-        share = scratch.array("share", shape)
-        for logit, (down, right) in zip(logits[layout.around, rows], NEIGHBOURS, strict=True):
-            bounded_exp(logit, options.logit_bound, share)
-            normal += share
-            for plane, sums in zip(padded, out, strict=True):
-                moved = plane[1 + down :, 1 + right :][: shape[0], :width]
-                cv2.accumulateProduct(moved, share, sums)
+        maps = logits[layout.around, rows]
+        weights = scratch.array("weights", maps.shape)
+        for logit, weight in zip(maps, weights, strict=True):
+            bounded_exp(logit, options.logit_bound, weight)
+            normal += weight
+        _add_neighbours(_padded(planes[:3], rows, scratch), weights, out)
     np.reciprocal(normal, out=normal)
     for sums in out:
         sums *= normal
@@ -379,12 +372,36 @@ def _padded(planes: np.ndarray, rows: slice, scratch: Scratch) -> np.ndarray:
     padded = scratch.array("neighbours", (3, count + 2, width + 2))
     top = 1 - inner.start
     padded[:, top : top + near.stop - near.start, 1:-1] = planes[:, near]
+    _repeat_border(padded, top=near.start == rows.start, bottom=near.stop == rows.stop)
+    return padded
+
+
+def _repeat_border(padded: np.ndarray, *, top: bool, bottom: bool) -> None:
+    """Fill the outermost pixels of ``(3, h + 2, w + 2)``: left, right, and where asked for."""
+    padded[..., 0], padded[..., -1] = padded[..., 1], padded[..., -2]
     if top:
         padded[:, 0] = padded[:, 1]
-    if near.stop < rows.stop + 1:
+    if bottom:
         padded[:, -1] = padded[:, -2]
-    padded[..., 0], padded[..., -1] = padded[..., 1], padded[..., -2]
-    return padded
+
+
+def _add_neighbours(padded: np.ndarray, weights: np.ndarray, sums: np.ndarray) -> None:
+    """Add the eight neighbours, each by its weight, to ``(3, h, w)``.
+
+    Parameters
+    ----------
+    padded : (3, h + 2, w + 2) float32
+        With one pixel more on each side.
+    weights : (8, h, w) float32
+        In the order of `NEIGHBOURS`.
+    sums : (3, h, w) float32
+        Added to.
+    """
+    height, width = weights.shape[1:]
+    for plane, total in zip(padded, sums, strict=True):
+        for weight, (down, right) in zip(weights, NEIGHBOURS, strict=True):
+            moved = plane[1 + down :, 1 + right :][:height, :width]
+            cv2.accumulateProduct(moved, weight, total)
 
 
 def _resolve(
@@ -424,11 +441,9 @@ def _resolve(
         normal += weights[-1]
     np.reciprocal(normal, out=normal)
     resolved = scratch.array("resolved", (3, height, width))
-    for channel, (plane, total) in enumerate(zip(padded, resolved, strict=True)):
-        np.copyto(total, plane[1:-1, 1:-1])
-        for weight, (down, right) in zip(weights, NEIGHBOURS, strict=False):
-            moved = plane[1 + down : 1 + down + height, 1 + right : 1 + right + width]
-            cv2.accumulateProduct(moved, weight, total)
+    np.copyto(resolved, padded[:, 1:-1, 1:-1])
+    _add_neighbours(padded, weights[: len(NEIGHBOURS)], resolved)
+    for channel, total in enumerate(resolved):
         if past is not None:
             cv2.accumulateProduct(past[channel], weights[-1], total)
         total *= normal

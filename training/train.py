@@ -22,7 +22,6 @@ import typer
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from stillray.cli import program
 from stillray.errors import InputError
@@ -40,11 +39,10 @@ from stillray.training.dataset import (
 )
 from stillray.training.families import FAMILIES, Family
 from stillray.training.losses import displayed, dissimilarity, smape, unsteadiness
-from stillray.training.networks.repvgg import RepVGGBlock
+from stillray.training.start import STARTED_FROM, start_from
 
 CHECKPOINT = "checkpoint.safetensors"
 LOG = "log.csv"
-STARTED_FROM = "started_from.json"  # the model whose weights were taken over, if any
 PREVIOUS = "previous.onnx"  # the model whose outputs are the previous ones of a recurrence
 _LOG_EVERY = 20  # steps
 
@@ -99,7 +97,7 @@ def train(
     data: list[Path],
     out: Path,
     *,
-    start: Path | None = None,
+    start: str | Path | None = None,
     save_every: int = 200,
     family: Family | None = None,
     examples: Sequence[Example] = (),
@@ -115,7 +113,7 @@ def train(
     out
         Folder for the checkpoint and the log; made if missing.
     start
-        Checkpoint of a similar model to start from, see `start_from`; None for random weights.
+        A similar model to start from, see `stillray.training.start`; None for random weights.
     save_every
         Steps between checkpoints.
     family
@@ -230,76 +228,6 @@ def _recall(
     progress.remove_task(task)
 
 
-def start_from(checkpoint: Path, network: nn.Module, spec: ModelSpec) -> dict[str, Any]:
-    """Take over the weights of a similar model: features by name, planes that are new stay random.
-
-    Parameters
-    ----------
-    checkpoint
-        Of a model of the same family and widths; it may have read other features, which are
-        matched by name (those that it did not read begin with weights of 0), have given fewer
-        logits (new ones are appended), and have had fewer layers in its dense block (what new ones
-        add begins with weights of 0). Where the first block has an identity, features stay in
-        their places.
-    network, spec
-        What is to be trained.
-
-    Returns
-    -------
-    dict
-        Name and steps of the model that was taken over, and of what that was started from in its
-        turn: goes into the provenance.
-
-    Raises
-    ------
-    InputError
-        The checkpoint's weights do not fit.
-    """
-    from safetensors import safe_open
-
-    if not checkpoint.is_file():
-        raise InputError(f"start must be a checkpoint, got {checkpoint}: no such file")
-    with safe_open(checkpoint, framework="pt") as file:
-        metadata = file.metadata()
-    before = json.loads(metadata["spec"])
-    features = before["network"]["features"]
-    state = network.state_dict()
-    entry = network.get_submodule(str(network.reads_features).rstrip("."))
-    if isinstance(entry, RepVGGBlock) and entry.identity and features != [*spec.network.features]:
-        raise InputError(
-            f"start must read the features of {spec.name} in their order, whose first block has an "
-            f"identity, got {', '.join(features)}"
-        )
-    for name, value in load_file(checkpoint).items():
-        if not name.startswith("network."):
-            continue
-        target = state.get(name := name[len("network.") :], torch.empty(0))
-        fits = len(value) <= len(target)
-        if fits and name.startswith(str(network.reads_features)) and value.ndim == 4:
-            # where blocks of pixels are read as one, every feature is several planes
-            each = target.shape[1] // len(spec.network.features)
-            fits = value.shape[1] == each * len(features) and value.shape[2:] == target.shape[2:]
-            if fits:
-                read = [features.index(f) if f in features else -1 for f in spec.network.features]
-                matched = value.unflatten(1, (len(features), each))[:, read]
-                matched[:, [index < 0 for index in read]] = 0
-                value = matched.flatten(1, 2)
-        if fits and value.ndim == 4 and name.startswith(getattr(network, "reads_added", " ")):
-            added = max(target.shape[1] - value.shape[1], 0)
-            value = F.pad(value, (0, 0, 0, 0, 0, added))
-        if not fits or value.shape[1:] != target.shape[1:]:
-            raise InputError(
-                f"start must have weights that fit {spec.name}, {checkpoint} does not: {name}"
-            )
-        target[: len(value)] = value
-    network.load_state_dict(state)
-    origin = {"model": before["name"], "steps": int(metadata["step"])}
-    earlier = checkpoint.parent / STARTED_FROM
-    if earlier.is_file():
-        origin["started_from"] = json.loads(earlier.read_text())
-    return origin
-
-
 def load_network(
     spec: ModelSpec, checkpoint: Path, family: Family | None = None
 ) -> tuple[nn.Module, int]:
@@ -374,8 +302,8 @@ def main(
     threads: Annotated[int, typer.Option(help="Threads of PyTorch.")] = 0,
     steps: Annotated[int, typer.Option(help="Override the recipe's steps.")] = 0,
     start: Annotated[
-        Path | None, typer.Option(help="Checkpoint of a similar model to start from.")
-    ] = None,
+        str, typer.Option(help="Similar model to start from: checkpoint, .onnx file or name.")
+    ] = "",
     plain: Annotated[
         bool, typer.Option("--plain", help="Train without the extra branches (the ablation).")
     ] = False,
@@ -388,7 +316,7 @@ def main(
         spec = dataclasses.replace(spec, training=dataclasses.replace(spec.training, steps=steps))
     if plain:
         spec = without_branches(spec)
-    train(spec, data, out, start=start)
+    train(spec, data, out, start=start or None)
 
 
 def without_branches(spec: ModelSpec) -> ModelSpec:

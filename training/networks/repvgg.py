@@ -75,6 +75,23 @@ class RepVGGBlock(nn.Module):
             weight = weight + F.pad(one[:, :, None, None], [self.kernel_size // 2] * 4)
         return weight, bias
 
+    def unfuse(self, weight: Tensor, bias: Tensor) -> None:
+        """Compute what one convolution of the inference network does: `fused` undone.
+
+        Parameters
+        ----------
+        weight, bias
+            As `stillray.export.fuse` writes them: over squares of pixels, a kernel over pixels.
+        """
+        weight = F.pixel_unshuffle(weight, self.block)
+        for parameter in self.convolutions.parameters():
+            parameter.zero_()
+        identity, _ = self.fused()
+        largest = next(part for part in self.branches() if part.kernel_size[0] == self.kernel_size)
+        assert largest.bias is not None
+        largest.weight.copy_(weight - identity)
+        largest.bias.copy_(bias)
+
     def forward(self, planes_nchw: Tensor) -> Tensor:
         """``(n, width_in, h, w)`` to ``(n, width_out, h / block, w / block)``; zeros outside."""
         if self.block > 1:
