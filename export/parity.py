@@ -169,7 +169,7 @@ def _in_runtime(
     # a prepared frame of which only what a reconstruction looks at is there
     prepared = Prepared(
         history=History(mean=interleaved("irradiance", "samples"), guides=None, exposure=1.0),
-        sample=interleaved("new", "worth"),
+        sample=np.concatenate([arrays[name][0] for name in ("new", "worth")]),
         luminance=np.empty(0),
         divisor=None,
         modulator=interleaved("divisor") if FAMILIES[spec.family].modulates else None,

@@ -7,7 +7,6 @@ import numpy as np
 
 from stillray.models_spec.loader import Temporal
 from stillray.scratch import Scratch
-from stillray.strips import planes_of
 
 #: Exposed irradiance below which surroundings no longer count as darker.
 DARK = 0.02
@@ -129,7 +128,7 @@ def bound(irradiance: np.ndarray, weight: np.ndarray, out: np.ndarray) -> np.nda
 
 
 def accumulate(
-    irradiance: np.ndarray,
+    new: np.ndarray,
     weight: np.ndarray,
     planes: np.ndarray,
     options: Temporal,
@@ -139,8 +138,8 @@ def accumulate(
 
     Parameters
     ----------
-    irradiance : (h, w, 3) float32
-        This frame's sample.
+    new : (3, h, w) float32
+        Irradiance of this frame's sample.
     weight : (h, w) float32
         What it is worth, in (0, 1].
     planes : (4, h, w) float32
@@ -158,7 +157,6 @@ def accumulate(
     share = np.divide(weight, samples, out=scratch.array("share", samples.shape))
     # not 1 - share: a past that is worth little would lose its digits, and it may be very bright
     rest /= samples
-    new = planes_of(irradiance, out=scratch.array("new", (3, *samples.shape)))
     # mean + share (new - mean) cancels where a firefly meets a dark past; two products do not
     planes[:3] *= rest
     for mean, sample in zip(planes[:3], new, strict=True):

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from stillray.reproject import bilinear
-from stillray.strips import Strips, pixels_of, with_halo
+from stillray.strips import Strips, with_halo
 
 _AROUND = np.ones((3, 3), np.uint8)
 _SUM = np.ones((1, 3), np.float32)
@@ -32,7 +32,7 @@ def begin(divisor: np.ndarray, remembered: np.ndarray) -> None:
     Parameters
     ----------
     divisor : (h, w, 3) float32
-        Of this frame.
+        Of this frame, or a mean.
     remembered : (h, w, 4) float32
         Written: the divisor and, last, 1.
     """
@@ -73,33 +73,34 @@ def accumulate(
     share = samples / (samples + 1)
 
     def work(rows: slice) -> None:
-        scratch, mean = strips.scratch, remembered[rows]
+        scratch, mean = strips.scratch, modulator[rows]
         around, inner = with_halo(rows, 1, height)
-        shape = (around.stop - around.start, width, 4)
-        now, least, most = (scratch.array(name, shape) for name in ("now", "least", "most"))
-        cv2.cvtColor(divisor[around], cv2.COLOR_RGB2RGBA, dst=now)
-        cv2.erode(now, _AROUND, dst=least)
-        cv2.dilate(now, _AROUND, dst=most)
-        now = now[inner]
-        if positions is None:
-            np.copyto(mean, past[rows])
-        else:
-            bilinear(past, positions[rows], mean)
-            inside = cv2.extractChannel(mean, 3, dst=scratch.array("inside", mean.shape[:2]))
+        shape = (around.stop - around.start, width, 3)
+        least, most = (scratch.array(name, shape) for name in ("least", "most"))
+        cv2.erode(divisor[around], _AROUND, dst=least)
+        cv2.dilate(divisor[around], _AROUND, dst=most)
+        now = divisor[rows]
+        taken = past[rows]
+        if positions is not None:
+            taken = scratch.array("taken", (*mean.shape[:2], 4))
+            bilinear(past, positions[rows], taken)
+        cv2.cvtColor(taken, cv2.COLOR_RGBA2RGB, dst=mean)
+        if positions is not None:
+            inside = cv2.extractChannel(taken, 3, dst=scratch.array("inside", mean.shape[:2]))
             if inside.min() < _WHOLE:
                 outside = np.flatnonzero(inside < _WHOLE)
-                pixels_of(mean)[outside] = np.take(pixels_of(now), outside)
+                mean.reshape(-1, 3)[outside] = np.take(now.reshape(-1, 3), outside, axis=0)
         cv2.max(mean, least[inner], dst=mean)
         cv2.min(mean, most[inner], dst=mean)
         cv2.addWeighted(mean, share, now, 1 - share, 0, dst=mean)
-        cv2.cvtColor(mean, cv2.COLOR_RGBA2RGB, dst=modulator[rows])
+        begin(mean, remembered[rows])
         total = cv2.transform(divisor[around], _SUM, dst=scratch.array("total", shape[:2]))
         if total.max() < 3:
             return
         none = (total >= 3).view(np.uint8)
         beside = (cv2.dilate(none, _AROUND) != cv2.erode(none, _AROUND))[inner]
         at = np.flatnonzero(beside)
-        own, mixed = divisor[rows].reshape(-1, 3), modulator[rows].reshape(-1, 3)
+        own, mixed = now.reshape(-1, 3), mean.reshape(-1, 3)
         mixed[at] = np.minimum(np.take(mixed, at, axis=0), np.take(own, at, axis=0))
 
     strips.run(work, height, width, pixels=_STRIP_PIXELS)

@@ -89,8 +89,8 @@ def filter_layers(
     images, pasts
         By name: ``(h, w, 3)`` float32 radiance, and what the next frame needs.
     """
-    worth = prepared.history.mean if prepared.sample is None else prepared.sample
-    weight = np.ascontiguousarray(worth[..., 3])
+    worth = planes_of(prepared.history.mean) if prepared.sample is None else prepared.sample
+    weight = worth[3]
     factor = _factor(frame, prepared, worth)
     broken = ~np.isfinite(frame.color).all(axis=-1)
     accumulated = _accumulation(prepared, history, weight, spec, strips)
@@ -109,18 +109,19 @@ def filter_layers(
         if name in irradiance:
             divisor = modulator = None
         light = radiance * factor if divisor is None else radiance / divisor * factor
-        sample = mean = cv2.merge([*cv2.split(light), weight])
+        new = planes_of(light)
+        mean = cv2.merge([light, weight])
         previous: np.ndarray | None = None
         if accumulated is not None and history is not None and prepared.motion is not None:
             past = history.layers[name]
-            mean = accumulated(past.mean, light)
+            mean = accumulated(past.mean, new)
             if past.output is not None and follow is not None:
                 previous = follow(past.output)
                 previous = recall.forget_uncovered(previous, past.output, prepared)
         own = replace(
             prepared,
             history=replace(prepared.history, mean=mean),
-            sample=None if accumulated is None else sample,
+            sample=None if accumulated is None else np.concatenate([new, worth[3:]]),
             modulator=modulator,
         )
         images[name] = image = family.reconstruct(own, previous, outputs, spec, strips, {})
@@ -138,7 +139,7 @@ def _factor(frame: Frame, prepared: Prepared, worth: np.ndarray) -> np.ndarray:
     color, _ = repair_radiance(frame.color)
     irradiance = color if prepared.divisor is None else color / prepared.divisor
     total = np.ones((1, 3), np.float32)
-    before, after = cv2.transform(irradiance, total), cv2.transform(worth[..., :3], total)
+    before, after = cv2.transform(irradiance, total), worth[:3].sum(axis=0)
     factor = np.ones_like(before)
     np.divide(after, before, out=factor, where=before > 0)
     factor[np.abs(factor - 1) < _ROUNDING] = 1
@@ -152,7 +153,10 @@ def _accumulation(
     spec: ModelSpec,
     strips: Strips,
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray] | None:
-    """From a layer's past and its light to its mean, both ``(h, w, 4)``; None without a past."""
+    """From a layer's past ``(h, w, 4)`` and its light ``(3, h, w)`` to its mean as the past's.
+
+    None without a past.
+    """
     if history is None or prepared.motion is None:
         return None
     motion, before, now = prepared.motion, history.guides, prepared.history.guides
@@ -166,12 +170,12 @@ def _accumulation(
         def work(rows: slice) -> None:
             scratch = strips.scratch
             positions = rep.positions_of(motion[rows], rows) if motion[rows].any() else None
-            guides = None if now is None else now[rows]
+            guides = None if now is None else planes_of(now[rows])
             past = rep.reproject(
                 mean, before, rough, guides, positions, rows, spec.temporal, scratch
             )
             planes = planes_of(past, out=scratch.array("mean", (4, *past.shape[:2])))
-            acc.accumulate(light[rows], weight[rows], planes, spec.temporal, scratch)
+            acc.accumulate(light[:, rows], weight[rows], planes, spec.temporal, scratch)
             interleave(planes, out=result[rows])
 
         strips.run(work, *mean.shape[:2])

@@ -76,7 +76,7 @@ class Prepared:
     ----------
     history
         The history after this frame; its ``mean`` is what the kernels filter.
-    sample : (h, w, 4) float32 or None
+    sample : (4, h, w) float32 or None
         This frame's irradiance and, last, what its samples are worth; None where it was not asked
         for, or where there is no past: it is the ``mean`` then.
     luminance : (h, w) float32
@@ -187,7 +187,7 @@ def prepare(
         guides = np.empty((*shape, 4), np.float32) if guides is None else guides
     mean = np.empty((*shape, 4), np.float32) if spare is None else spare.mean
     moves = history is not None and buffers.motion is not None
-    sample = kept.array("sample", (*shape, 4)) if wants_sample and moves else None
+    sample = kept.array("sample", (4, *shape)) if wants_sample and moves else None
     fresh = kept.array("fresh", shape, np.uint8) if recalls and moves else None
     wants_local = moves and "local_luminance" in spec.network.features
     accumulated = kept.array("accumulated", shape) if wants_local else None
@@ -202,11 +202,16 @@ def prepare(
             if guides is not None and history.guides is not None and positions is not None:
                 rough = rough_blocks(history.guides, strips, kept)
 
-    def warp(rows: slice, motion: np.ndarray, past: History, scratch: Scratch) -> np.ndarray:
+    def warp(
+        rows: slice,
+        now: np.ndarray | None,
+        motion: np.ndarray,
+        past: History,
+        scratch: Scratch,
+    ) -> np.ndarray:
         at: np.ndarray | None = None
         if positions is not None:
             at = rep.positions_of(motion[rows], rows, positions[rows])
-        now = None if guides is None else guides[rows]
         # many a camera stands still, and only things move
         follows = at if motion[rows].any() else None
         warped = rep.reproject(
@@ -238,9 +243,13 @@ def prepare(
         if planes is None:
             cv2.merge([irradiance, weight], dst=mean[rows])
             return
-        if sample is not None:
-            cv2.merge([irradiance, weight], dst=sample[rows])
-        acc.accumulate(irradiance, weight, planes, spec.temporal, scratch)
+        if sample is None:
+            new = scratch.array("new", (3, *weight.shape))
+        else:
+            new = sample[:3, rows]
+            np.copyto(sample[3, rows], weight)
+        planes_of(irradiance, out=new)
+        acc.accumulate(new, weight, planes, spec.temporal, scratch)
         interleave(planes, out=mean[rows])
         if fresh is not None:
             np.less_equal(planes[3], weight, out=fresh[rows].view(bool))
@@ -250,19 +259,19 @@ def prepare(
     with timed_pass(timings) as part:
 
         def work(rows: slice) -> None:
-            scratch, past = strips.scratch, None
+            scratch, past, now = strips.scratch, None, None
             if guides is not None:
                 with part("guides"):
                     normal, depth = buffers.normal, buffers.depth
-                    rep.pack(
+                    now = rep.guide_planes(
                         None if normal is None else normal[rows],
                         None if depth is None else depth[rows],
-                        guides[rows],
                         scratch,
                     )
+                    interleave(now, out=guides[rows])
             if history is not None and buffers.motion is not None:
                 with part("warp"):
-                    past = warp(rows, buffers.motion, history, scratch)
+                    past = warp(rows, now, buffers.motion, history, scratch)
             with part("accumulate"):
                 accumulate(rows, past, scratch)
 

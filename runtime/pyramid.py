@@ -101,7 +101,7 @@ def filter_pyramid(
     ----------
     mean : (h, w, 4) float32
         Irradiance, >= 0 and finite; and the samples that each pixel holds, > 0.
-    sample : (h, w, 4) float32 or None
+    sample : (4, h, w) float32 or None
         This frame's irradiance and what its samples are worth, > 0; None for that of ``mean``.
     divisor : (h, w, 3) float32 or None
         What the result is multiplied by.
@@ -150,8 +150,10 @@ def _filtered(
     if bottom or right:
         mean = _extended(mean, bottom, right, strips.scratch.array("extended", full))
         if sample is not None:
-            full_sample = strips.scratch.array("extended sample", full)
-            sample = _extended(sample, bottom, right, full_sample)
+            planes = strips.scratch.array("extended sample", (4, *full[:2]))
+            for plane, target in zip(sample, planes, strict=True):
+                _extended(plane, bottom, right, target)
+            sample = planes
     finest = level_layout(0, levels, options)
     pyramid = [_renewed(mean, sample, maps[0], finest.renew, options, strips)]
     for level in range(levels - 1):
@@ -202,7 +204,7 @@ def _filtered(
 
 
 def _extended(image: np.ndarray, bottom: int, right: int, out: np.ndarray) -> np.ndarray:
-    """``(h, w, 4)`` with its last row and column repeated."""
+    """An image with its last row and column repeated."""
     return cv2.copyMakeBorder(image, 0, bottom, 0, right, cv2.BORDER_REPLICATE, dst=out)
 
 
@@ -228,7 +230,7 @@ def _renewed(
         if sample is None:
             planes[:, rows] = past
             return
-        new = planes_of(sample[rows], out=scratch.array("new", (4, *shape)))
+        new = sample[:, rows]
         more, total = scratch.array("more", shape), scratch.array("total", shape)
         bounded_exp(logits[renew, rows][0], options.logit_bound, more)
         held = np.add(more, 1, out=scratch.array("held", shape))

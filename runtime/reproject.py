@@ -19,15 +19,19 @@ _NEAREST, _FARTHEST = np.float32(1e-30), np.float32(1e30)  # unit of depth: fini
 _EMPTY_DEPTH = np.float32(-100)  # "logarithm of the depth" of background: far from all surfaces
 _NO_NORMAL = 0.25  # a normal with no component beyond this points nowhere
 _EVEN_LENGTH = (0.98, 1.02)  # squared length of a normal that is left as it is: rounding of halves
-_SUM = np.ones((1, 3), np.float32)
 _TINY = np.float32(1e-12)  # share of a tap: keeps 0/0 out of pixels without a tap
 
 
 def pack(
-    normal: np.ndarray | None,
-    depth: np.ndarray | None,
-    out: np.ndarray | None = None,
-    scratch: Scratch | None = None,
+    normal: np.ndarray | None, depth: np.ndarray | None, scratch: Scratch | None = None
+) -> np.ndarray:
+    """Guides of a frame's rows as ``(h, w, 4)``, see `guide_planes`."""
+    planes = guide_planes(normal, depth, scratch or Scratch())
+    return interleave(planes, out=np.empty((*planes.shape[1:], 4), np.float32))
+
+
+def guide_planes(
+    normal: np.ndarray | None, depth: np.ndarray | None, scratch: Scratch
 ) -> np.ndarray:
     """Guides of a frame's rows: the geometry that tells whether two pixels show one surface.
 
@@ -39,24 +43,20 @@ def pack(
         0 where nothing was hit.
     depth : (h, w) float32 or None
         0 where nothing was hit. One of both must be given.
-    out : (h, w, 4) float32, optional
-        Written and returned.
     scratch
-        Where temporaries lie, if given.
+        Where the result and what leads to it lie.
 
     Returns
     -------
-    (h, w, 4) float32
+    (4, h, w) float32
         Normal and the logarithm of depth.
     """
-    scratch = scratch or Scratch()
     present = normal if normal is not None else depth
     if present is None:
         raise ValueError("one of normal and depth must be given")
     shape = present.shape[:2]
-    if out is None:
-        out = np.empty((*shape, 4), np.float32)
-    logarithm = scratch.array("logarithm", shape)
+    planes = scratch.array("guides", (4, *shape))
+    x, y, z, logarithm = planes
     if depth is None:
         logarithm.fill(0)
     else:
@@ -64,26 +64,29 @@ def pack(
         if depth.min() <= 0:
             np.copyto(logarithm, _EMPTY_DEPTH, where=depth <= 0)
     if normal is None:
-        out[...] = (1, 0, 0, 0)
-        out[..., 3] = logarithm
-        return out
+        x.fill(1)
+        y.fill(0)
+        z.fill(0)
+        return planes
+    planes_of(normal, out=planes[:3])
+    length = np.square(x, out=scratch.array("length", shape))
+    cv2.accumulateSquare(y, length)
+    cv2.accumulateSquare(z, length)
     # what has no normal gets one, so that it agrees with its like; its depth tells it apart
-    length = cv2.transform(np.square(normal, out=scratch.array("square", normal.shape)), _SUM)
     none: np.ndarray | None = None
     if length.min() <= 4 * _NO_NORMAL**2:  # three such components square to 3 times that at most
-        none = cv2.inRange(normal, (-_NO_NORMAL,) * 3, (_NO_NORMAL,) * 3)
-        length[none > 0] = 1
-    if cv2.countNonZero(cv2.inRange(length, *_EVEN_LENGTH)) < length.size:
+        none = cv2.inRange(normal, (-_NO_NORMAL,) * 3, (_NO_NORMAL,) * 3) > 0
+        length[none] = 1
+    least, most = _EVEN_LENGTH
+    if length.min() < least or length.max() > most:
         # filtered, packed or scaled normals: their length says nothing of the surface
-        scale = np.reciprocal(np.sqrt(length, out=length), out=length)
-        normal = cv2.multiply(normal, cv2.cvtColor(scale, cv2.COLOR_GRAY2RGB))
-    cv2.cvtColor(normal, cv2.COLOR_RGB2RGBA, dst=out)  # the fastest way to four channels
-    cv2.insertChannel(logarithm, out, 3)
+        planes[:3] *= np.reciprocal(np.sqrt(length, out=length), out=length)
     if none is not None:
-        out[none > 0, :3] = (1, 0, 0)
+        x[none] = 1
+        y[none] = z[none] = 0
         if depth is None:
-            out[none > 0, 3] = _EMPTY_DEPTH
-    return out
+            logarithm[none] = _EMPTY_DEPTH
+    return planes
 
 
 def rough_blocks(
@@ -178,8 +181,8 @@ def reproject(
         Guides of the whole previous frame, see `pack`; None where it had none.
     rough : (H + 1, w + 1) uint8 or None
         Their `rough_blocks`; not needed where nothing moves.
-    now : (h, w, 4) float32 or None
-        Guides of the rows to fill.
+    now : (4, h, w) float32 or None
+        Guides of the rows to fill, see `guide_planes`.
     positions : (h, w, 2) float32 or None
         Where each of the pixels to fill was, x and y in pixels, finite; None where nothing moves.
     rows
@@ -208,9 +211,7 @@ def reproject(
             bilinear(before, positions, compared)
     if before is not None and now is not None:
         same = _same_surface(
-            planes_of(compared, out=scratch.array("before", (4, count, width))),
-            planes_of(now, out=scratch.array("now", (4, count, width))),
-            options,
+            planes_of(compared, out=scratch.array("before", (4, count, width))), now, options
         )
         pixels_of(taken)[np.flatnonzero(~same)] = 0
     if positions is None:
@@ -224,7 +225,7 @@ def reproject(
         apart = _nearest(rough, corner).view(bool)
     at = np.flatnonzero(apart)
     if at.size:
-        now_listed = None if now is None else np.take(pixels_of(now), at).view(np.float32)
+        now_listed = None if now is None else np.take(now.reshape(4, -1), at, axis=1)
         positions_listed = np.take(pixels_of(positions), at)
         listed = _tap_by_tap(
             history, before, now_listed, positions_listed.view(np.float32).reshape(-1, 2), options
@@ -240,7 +241,7 @@ def _tap_by_tap(
     positions: np.ndarray,
     options: Temporal,
 ) -> np.ndarray:
-    """The definition, for a list of ``n`` pixels: guides ``(n, 4)``, positions ``(n, 2)``."""
+    """The definition, for a list of ``n`` pixels: guides ``(4, n)``, positions ``(n, 2)``."""
     count, (height, width) = len(positions), history.shape[:2]
     corner = np.floor(positions)
     column, share_x = _both_taps(positions[:, 0] - corner[:, 0], corner[:, 0], width)
@@ -252,7 +253,7 @@ def _tap_by_tap(
         return planes_of(np.take(pixels_of(image), at).view(np.float32).reshape(4, count, 4))
 
     if before is not None and now is not None:
-        weight *= _same_surface(taps(before), planes_of(now.reshape(1, count, 4)), options)
+        weight *= _same_surface(taps(before), now.reshape(4, 1, count), options)
     total = np.einsum("ctn,tn->cn", taps(history), weight)
     # samples stay scaled by the accepted share; irradiance is normalised
     total[:3] /= np.maximum(weight.sum(axis=0), _TINY)

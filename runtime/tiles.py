@@ -168,6 +168,8 @@ def crop(prepared: Prepared, tile: Tile) -> Prepared:
         return value
 
     values: dict[str, Any] = {f.name: cut(getattr(prepared, f.name)) for f in fields(prepared)}
+    if prepared.sample is not None:
+        values["sample"] = np.ascontiguousarray(prepared.sample[:, *tile.outer])
     past = prepared.history
     values["history"] = replace(past, mean=cut(past.mean), guides=None)
     return replace(prepared, **values)

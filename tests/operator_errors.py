@@ -25,7 +25,7 @@ from stillray import (
 )
 from stillray.models_spec import load
 from stillray.models_spec.loader import FusedKernels, PyramidKernels
-from stillray.strips import Strips
+from stillray.strips import Strips, planes_of
 from tests import oracles
 
 Inputs = dict[str, np.ndarray]
@@ -164,7 +164,7 @@ def _weight(given: Inputs) -> float:
 def _accumulate(given: Inputs) -> float:
     planes = np.concatenate([given["past"], given["held"]]).copy()
     light, weight = given["light"], given["weight"]
-    accumulate.accumulate(light, weight, planes, SPEC.temporal)
+    accumulate.accumulate(planes_of(light), weight, planes, SPEC.temporal)
     past = np.minimum(given["held"][0].astype(np.float64), SPEC.temporal.max_samples)
     total = past + weight
     wanted = np.einsum("cyx,yx->cyx", given["past"].astype(np.float64), past / total)
@@ -200,7 +200,7 @@ def _reproject(given: Inputs) -> float:
     rows = slice(0, shape[0])
     reproject.rough_blocks(packed, rows, rough)
     positions = reproject.positions_of(motion, rows)
-    now = reproject.pack(normal, depth)
+    now = planes_of(reproject.pack(normal, depth))
     got = reproject.reproject(history, packed, rough, now, positions, rows, SPEC.temporal)
     wanted = oracles.reproject(history, before, depth, normal, depth, motion, SPEC.temporal)
     return _relative(got, wanted)
@@ -264,6 +264,7 @@ def _fused_kernels(given: Inputs) -> float:
 def _pyramid(given: Inputs) -> float:
     assert isinstance(_PYRAMID, PyramidKernels)
     mean, sample = (np.dstack([given[n], given["held"]]) for n in ("light", "new"))
+    sample = planes_of(sample)
     by = demodulate.divisor(given["albedo"], SPEC.demodulate)
     past = np.dstack([given["past"], given["valid"]])
     logits, start = [], 0

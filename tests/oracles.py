@@ -162,7 +162,7 @@ def kernel_pyramid(
     padding = [(0, full[axis] - mean.shape[axis]) for axis in (0, 1)]
     padded, new = (
         np.pad(image.astype(np.float64), [*padding, (0, 0)], mode="edge")
-        for image in (mean, sample)
+        for image in (mean, np.moveaxis(sample, 0, -1))
     )
     light, held = np.zeros_like(padded[..., :3]), np.zeros(full)
     for y, x in np.ndindex(*full):

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from stillray.accumulate import FIRST_SHARE, MIN_WEIGHT, accumulate, bound, sample_weight
+from stillray.strips import planes_of
 
 
 def _run(frames, options):
     planes = np.zeros((4, *frames[0].shape[:2]), np.float32)
     for frame in frames:
-        accumulate(frame, np.ones(frame.shape[:2], np.float32), planes, options)
+        accumulate(planes_of(frame), np.ones(frame.shape[:2], np.float32), planes, options)
     return planes
 
 
@@ -35,7 +36,7 @@ def test_pixels_without_a_past_keep_their_sample(spec):
     planes = np.zeros((4, 2, 2), np.float32)
     planes[:, 0, 0] = [9, 9, 9, 3]
     planes[:, 0, 1] = [1e30, 2, 1e30, 0]  # whatever it says: it holds no sample
-    accumulate(np.ones((2, 2, 3), np.float32), np.ones((2, 2), np.float32), planes, spec.temporal)
+    accumulate(np.ones((3, 2, 2), np.float32), np.ones((2, 2), np.float32), planes, spec.temporal)
     np.testing.assert_allclose(planes[:, 1, 1], [1, 1, 1, 1])
     np.testing.assert_allclose(planes[:, 0, 1], [1, 1, 1, 1])
     np.testing.assert_allclose(planes[:, 0, 0], [7, 7, 7, 4])
@@ -88,7 +89,7 @@ def test_one_firefly_moves_a_mean_of_any_age_by_no_more_than_a_first_sample_may(
         planes[3] = held
         light = np.full((1, 1), 1e30, np.float32)
         weight = _weights(light, 0.5, held, options)
-        accumulate(_bound(np.dstack([light] * 3), weight), weight, planes, options)
+        accumulate(planes_of(_bound(np.dstack([light] * 3), weight)), weight, planes, options)
         # (1 + n) / n of it, and nothing for the weight of the firefly itself
         assert planes[0, 0, 0] <= 1 + FIRST_SHARE * options.outlier_ratio * 1.02 * (1 + held) / held
 
@@ -103,8 +104,8 @@ def test_ordinary_noise_keeps_its_energy(spec, rng):
         light = (rng.exponential(1.0, shape) * (rng.random(shape) < 0.7) / 0.7).astype(np.float32)
         samples = np.dstack([light] * 3)
         weight = sample_weight(light, local, planes[3], 1.0, spec.temporal)
-        accumulate(samples, weight, planes, spec.temporal)
-        accumulate(samples, once, plain, spec.temporal)
+        accumulate(planes_of(samples), weight, planes, spec.temporal)
+        accumulate(planes_of(samples), once, plain, spec.temporal)
         if frame >= 20:
             kept.append(planes[0].mean() / plain[0].mean())
     assert np.mean(kept) == pytest.approx(1, abs=1e-3)

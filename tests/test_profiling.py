@@ -23,6 +23,7 @@ from stillray.profiling.scaling import Curve, fitted_exponent, in_words
 from stillray.profiling.synthetic import swing, tiled
 from stillray.profiling.work import Work
 from stillray.registry import find_model
+from stillray.strips import planes_of
 
 SIZE = 36, 64
 
@@ -68,7 +69,7 @@ def test_made_up_surfaces_keep_their_history_and_what_is_uncovered_has_none(spec
         np.ones((180, 320, 4), np.float32),
         rep.pack(before.normal, before.depth),
         np.ones((181, 321), np.uint8),
-        rep.pack(now.normal, now.depth),
+        planes_of(rep.pack(now.normal, now.depth)),
         positions,
         rows,
         spec.temporal,

@@ -8,7 +8,7 @@ import pytest
 from stillray import pyramid
 from stillray.models_spec import load
 from stillray.pyramid_layout import level_layout, level_logits
-from stillray.strips import Strips
+from stillray.strips import Strips, planes_of
 from tests import oracles
 from tests.test_blocks import by_blocks
 
@@ -24,8 +24,8 @@ def draw(height, width, seed=0, spread=2.0, options=OPTIONS):
     mean = np.dstack(
         [rng.lognormal(0, 2, (height, width, 3)), rng.uniform(1e-3, 16, (height, width))]
     )
-    sample = np.dstack(
-        [rng.lognormal(0, 3, (height, width, 3)), rng.uniform(1e-6, 1, (height, width))]
+    sample = np.concatenate(
+        [rng.lognormal(0, 3, (3, height, width)), rng.uniform(1e-6, 1, (1, height, width))]
     )
     divisor = rng.uniform(0.1, 1, (height, width, 3))
     previous = np.dstack(
@@ -140,7 +140,7 @@ def test_threads_and_strips_do_not_change_the_picture():
 
 def test_constant_light_stays_constant_whatever_the_logits():
     mean, sample, _, previous, logits = draw(33, 18, spread=50)
-    mean[..., :3] = sample[..., :3] = previous[..., :3] = 3.7
+    mean[..., :3] = sample[:3] = previous[..., :3] = 3.7
     got = pyramid.filter_pyramid(mean, sample, None, previous, logits, OPTIONS, Strips(1))
     np.testing.assert_allclose(got, 3.7, rtol=1e-5)
 
@@ -150,7 +150,8 @@ def test_no_light_is_invented(seed):
     mean, sample, _, previous, logits = draw(33, 18, seed, spread=20)
     mean[5, 5, :3] = 1e30
     got = pyramid.filter_pyramid(mean, sample, None, previous, logits, OPTIONS, Strips(1))
-    both = np.concatenate([part[..., :3].reshape(-1, 3) for part in (mean, sample, previous)])
+    given = (mean, np.moveaxis(sample, 0, -1), previous)
+    both = np.concatenate([part[..., :3].reshape(-1, 3) for part in given])
     assert np.isfinite(got).all()
     assert (got >= both.min(0) * (1 - 1e-5)).all()
     assert (got <= both.max(0) * (1 + 1e-5)).all()
@@ -180,15 +181,16 @@ def test_one_frame_alone_needs_no_sample_beside_itself():
     mean, _, divisor, previous, logits = draw(9, 14)
     alone = pyramid.filter_pyramid(mean, None, divisor, previous, logits, OPTIONS, Strips(1))
     logits[0][-1] = -100  # nothing is renewed: the accumulated light is left as it is
-    got = pyramid.filter_pyramid(mean, mean, divisor, previous, logits, OPTIONS, Strips(1))
+    same = planes_of(mean)
+    got = pyramid.filter_pyramid(mean, same, divisor, previous, logits, OPTIONS, Strips(1))
     # the bound of the logits leaves a share of exp(-8), which changes the samples held
     np.testing.assert_allclose(got, alone, rtol=1e-2)
 
 
 def test_a_past_that_does_not_hold_can_be_let_go():
     mean, sample, _, _, logits = draw(9, 14)
-    mean[..., :3], sample[..., :3] = 5.0, 1.0
-    mean[..., 3], sample[..., 3] = 17.0, 1.0
+    mean[..., :3], sample[:3] = 5.0, 1.0
+    mean[..., 3], sample[3] = 17.0, 1.0
     logits[0][-1] = 100
     got = pyramid.filter_pyramid(mean, sample, None, None, logits, OPTIONS, Strips(1))
     assert got.max() < 1.03  # exp(8) to 17

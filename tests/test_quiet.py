@@ -21,15 +21,16 @@ def _frames(count: int):
 def test_a_quiet_frame_is_nearer_to_the_reference_but_for_its_fireflies():
     reference, frame, quiet = _frames(20)
     noise = np.abs(frame.color - reference).mean()
-    lit = 0
+    counts = []
     for one in quiet:
         fireflies = one.color.max(axis=-1) > 9 * np.median(reference)
-        assert fireflies.mean() < 5e-3
+        assert fireflies.mean() < 5e-2
         assert np.abs(one.color - reference)[~fireflies].mean() <= 0.51 * noise
         assert one.color.min() >= 0
         assert one.motion is None  # the frames before it are not quiet
-        lit += bool(fireflies.any())
-    assert 5 < lit < 20
+        counts.append(np.count_nonzero(fireflies))
+    assert min(counts) < 20
+    assert max(counts) > 100
 
 
 def test_a_quiet_frame_ignores_broken_samples():

@@ -5,6 +5,7 @@ import pytest
 
 from stillray.repair import MAX_MOTION
 from stillray.reproject import pack, reproject, rough_blocks
+from stillray.strips import planes_of
 from tests import oracles
 from tests.conftest import ODD_SIZES
 
@@ -29,6 +30,7 @@ def _run(history, before, now, motion, rows, spec):
         rough = np.full((history.shape[0] + 1, history.shape[1] + 1), 7, np.uint8)
         for top in range(0, history.shape[0], 5):
             rough_blocks(before, slice(top, min(top + 5, history.shape[0])), rough)
+    now = None if now is None else planes_of(now)
     return reproject(
         history, before, rough, now, _positions(motion, rows), rows, spec.temporal
     ).copy()

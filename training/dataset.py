@@ -17,9 +17,9 @@ from stillray import encode
 from stillray.denoiser import Denoiser
 from stillray.exr import read_exr
 from stillray.models_spec import ModelSpec
-from stillray.prepare import History, prepare
+from stillray.prepare import History, Prepared, prepare
 from stillray.recall import recalled
-from stillray.strips import Strips
+from stillray.strips import Strips, interleave
 from stillray.training.quiet import quiet_frame
 from stillray.training.simulate.sequence import is_complete
 
@@ -92,7 +92,7 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Examp
         examples.append(
             Example(
                 mean=history.mean,
-                sample=history.mean if prepared.sample is None else prepared.sample,
+                sample=_sample(prepared),
                 exposure=history.exposure,
                 divisor=shared.divisor if shared else prepared.divisor,
                 modulator=prepared.modulator,
@@ -106,6 +106,12 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Examp
             )
         )
     return examples
+
+
+def _sample(prepared: Prepared) -> np.ndarray:
+    if prepared.sample is None:
+        return prepared.history.mean
+    return interleave(prepared.sample, out=np.empty_like(prepared.history.mean))
 
 
 def previous_outputs(sequence: Path, model: Path, strips: Strips) -> list[np.ndarray]:

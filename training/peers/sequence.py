@@ -12,6 +12,7 @@ from stillray.demodulate import divisor
 from stillray.frame import Frame
 from stillray.models_spec.loader import Demodulate, Temporal, Transfer
 from stillray.repair import repair_feature, repair_radiance
+from stillray.strips import planes_of
 
 MAX_IRRADIANCE = 1e16  # its square, and a window's sum of squares, stay finite in float32
 MAX_DEPTH = 1e15  # any unit; squared positions stay finite in float32
@@ -143,7 +144,8 @@ def bring(
     )
     rows = slice(0, height)
     positions = reproject.positions_of(now.motion, rows) if now.motion.any() else None
-    return reproject.reproject(history, before.guides, rough, now.guides, positions, rows, temporal)
+    guides = planes_of(now.guides)
+    return reproject.reproject(history, before.guides, rough, guides, positions, rows, temporal)
 
 
 def blend(
