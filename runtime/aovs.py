@@ -126,7 +126,7 @@ def filter_layers(
         )
         images[name] = image = family.reconstruct(own, previous, outputs, spec, strips, {})
         if temporal:
-            output = recall.remember(image) if family.recalls else None
+            output = recall.remember(image, strips) if family.recalls else None
             pasts[name] = LayerPast(mean=mean, output=output)
     return images, pasts
 

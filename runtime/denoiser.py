@@ -230,7 +230,7 @@ class Denoiser:
                 )  # fmt: skip
         output: np.ndarray | None = None
         if family.recalls and self.temporal:
-            output = recall.remember(image, self._spare)
+            output = recall.remember(image, self._strips, self._spare)
         self._remember(replace(prepared.history, output=output, layers=pasts))
         return image, images
 

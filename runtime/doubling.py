@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stillray.kernels import bounded_exp
 from stillray.models_spec.loader import PyramidKernels
 from stillray.scratch import Scratch
 
@@ -31,30 +30,33 @@ class Doubled:
     def __init__(self, light: np.ndarray, logits: np.ndarray, options: PyramidKernels) -> None:
         self._light, self._logits, self._bound = light, logits, options.logit_bound
 
-    def rows(self, rows: slice, out: np.ndarray, scratch: Scratch) -> None:
-        """Write rows of it to ``(3, rows, 2 w)``."""
+    def rows(self, rows: slice, scratch: Scratch) -> np.ndarray:
+        """Rows of it, ``(3, rows, 2 w)``, which lie in the scratch."""
         top, bottom = rows.start // 2, -(-rows.stop // 2)
-        width = self._logits.shape[2]
-        beside, above, own, mixed = scratch.array("doubled", (4, bottom - top, width))
-        for line, column in np.ndindex(2, 2):
-            corner = 2 * line + column
-            bounded_exp(self._logits[corner, top:bottom], self._bound, beside)
-            bounded_exp(self._logits[4 + corner, top:bottom], self._bound, above)
-            with np.errstate(invalid="ignore"):  # a NaN logit: the caller finds it in the image
-                np.add(beside, above, out=own)
-                own += 2
-                np.reciprocal(own, out=own)
-                beside *= own
-                above *= own
-                own *= 2
-            # rows of this line: the first or the last may lie outside of what is asked for
-            first, end = 2 * top + line - rows.start, 2 * bottom - 2 + line - rows.start
-            inside = slice(first < 0, bottom - top - (end >= rows.stop - rows.start))
-            for plane, target in zip(self._light, out, strict=True):
-                middle = plane[1 + top : 1 + bottom]
-                np.multiply(middle[:, 1:-1], own, out=mixed)
-                side = middle[:, 2 * column : 2 * column + width]
-                cv2.accumulateProduct(side, beside, mixed)
-                over = plane[top + 2 * line : bottom + 2 * line, 1:-1]
-                cv2.accumulateProduct(over, above, mixed)
-                target[first % 2 :: 2, column::2] = mixed[inside]
+        high, width = bottom - top, self._logits.shape[2]
+        # few calls for much: each waits for the interpreter's lock
+        weights = scratch.array("beside and above", (2, 4, high, width))
+        given = self._logits[:, top:bottom].reshape(weights.shape)
+        np.clip(given, np.float32(-self._bound), np.float32(self._bound), out=weights)
+        cv2.exp(weights.reshape(-1, width), dst=weights.reshape(-1, width))
+        own = np.add(*weights, out=scratch.array("own", (4, high, width)))
+        mixed = scratch.array("mixed", (3, 2, high, width))
+        doubled = scratch.array("doubled", (3, 2 * high, 2 * width))
+        middle = self._light[:, 1 + top : 1 + bottom]
+        with np.errstate(invalid="ignore"):  # a NaN logit: the caller finds it in the image
+            own += 2
+            np.reciprocal(own, out=own)
+            weights *= own
+            own *= 2
+            for line in range(2):
+                corners = slice(2 * line, 2 * line + 2)
+                beside, above = weights[:, corners]
+                np.multiply(middle[:, None, :, 1:-1], own[corners], out=mixed)
+                over = self._light[:, top + 2 * line : bottom + 2 * line, 1:-1]
+                for channel, column in np.ndindex(3, 2):
+                    side = middle[channel, :, 2 * column : 2 * column + width]
+                    cv2.accumulateProduct(side, beside[column], mixed[channel, column])
+                    cv2.accumulateProduct(over[channel], above[column], mixed[channel, column])
+                for column in range(2):
+                    doubled[:, line::2, column::2] = mixed[:, column]
+        return doubled[:, rows.start - 2 * top : rows.stop - 2 * top]

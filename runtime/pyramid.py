@@ -333,11 +333,12 @@ def _blend(
         bounded_exp(logit, options.logit_bound, share)
     others = list(shares)
     if coarser is None:  # itself at logit 0, then the kernels
-        np.copyto(out, planes[:3, rows])
+        light = scratch.array("light", (3, *shape))
+        np.copyto(light, planes[:3, rows])
     else:  # the coarser level at logit 0, then itself, then the kernels
-        coarser.rows(rows, out, scratch)
+        light = coarser.rows(rows, scratch)
         own = others.pop(0)
-        for plane, sums in zip(planes, out, strict=False):
+        for plane, sums in zip(planes, light, strict=False):
             cv2.accumulateProduct(plane[rows], own, sums)
     normal = scratch.array("normal", shape)
     np.add(shares[0], 1, out=normal)
@@ -352,7 +353,7 @@ def _blend(
         bounded_exp(logits[importance, near][0], options.logit_bound, weight)
         weight *= planes[3, near]
         share /= box_means(weight, size, box)[inner]
-        for plane, sums in zip(planes, out, strict=False):
+        for plane, sums in zip(planes, light, strict=False):
             np.multiply(weight, plane[near], out=product)
             cv2.accumulateProduct(box_means(product, size, box)[inner], share, sums)
     if layout.around.stop > layout.around.start:
@@ -361,10 +362,8 @@ def _blend(
         for logit, weight in zip(maps, weights, strict=True):
             bounded_exp(logit, options.logit_bound, weight)
             normal += weight
-        _add_neighbours(_padded(planes[:3], rows, scratch), weights, out)
-    np.reciprocal(normal, out=normal)
-    for sums in out:
-        sums *= normal
+        _add_neighbours(_padded(planes[:3], rows, scratch), weights, light)
+    np.multiply(light, np.reciprocal(normal, out=normal), out=out)
 
 
 def _padded(planes: np.ndarray, rows: slice, scratch: Scratch) -> np.ndarray:
@@ -445,8 +444,8 @@ def _resolve(
     resolved = scratch.array("resolved", (3, height, width))
     np.copyto(resolved, padded[:, 1:-1, 1:-1])
     _add_neighbours(padded, weights[: len(NEIGHBOURS)], resolved)
-    for channel, total in enumerate(resolved):
-        if past is not None:
-            cv2.accumulateProduct(past[channel], weights[-1], total)
-        total *= normal
+    if past is not None:
+        for plane, total in zip(past, resolved, strict=False):
+            cv2.accumulateProduct(plane, weights[-1], total)
+    resolved *= normal
     interleave(resolved, out=out)

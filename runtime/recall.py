@@ -74,15 +74,23 @@ def forget_uncovered(past: np.ndarray, output: np.ndarray, prepared: Prepared) -
     return past
 
 
-def remember(image: np.ndarray, spare: History | None = None) -> np.ndarray:
+def remember(image: np.ndarray, strips: Strips, spare: History | None = None) -> np.ndarray:
     """An output as the next frame wants it: ``(h, w, 4)``, a copy, with 1 for "valid" last.
 
     It lies in the arrays of a history that nobody needs any more, if one is given.
     """
+    height, width = image.shape[:2]
     out = None if spare is None else spare.output
-    if out is not None and out.shape[:2] != image.shape[:2]:
-        out = None
-    return cv2.cvtColor(image, cv2.COLOR_RGB2RGBA, dst=out)  # alpha of float images is 1
+    if out is None or out.shape[:2] != image.shape[:2]:
+        out = np.empty((height, width, 4), np.float32)
+    kept = out
+
+    def work(rows: slice) -> None:
+        # alpha of float images is 1
+        cv2.cvtColor(image[rows], cv2.COLOR_RGB2RGBA, dst=kept[rows])
+
+    strips.run(work, height, width)
+    return out
 
 
 def recall(

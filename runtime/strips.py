@@ -22,7 +22,9 @@ from stillray.scratch import Scratch
 STRIP_PIXELS = 1 << 17
 # What strips are cut to must not depend on the threads, so that pictures do not either.
 _SHARES = 8  # strips of a small frame, for as many threads
-_LEAST_ROWS = 32
+# Of less work, threads spend more on waiting for the interpreter's lock: a call of 15 microseconds
+# on each of two threads at once takes up to 30.
+_LEAST_PIXELS = 1 << 16
 _EVEN = 4  # the number of strips is a multiple of it: two or four threads end together
 
 Result = TypeVar("Result")
@@ -90,7 +92,7 @@ class Strips:
 def strips_of(height: int, width: int, pixels: int = STRIP_PIXELS) -> list[slice]:
     """The rows of each strip, from the top; the last may be lower than the others."""
     most_rows = max(pixels // width, 1)
-    count = max(-(-height // most_rows), min(height // _LEAST_ROWS, _SHARES))
+    count = max(-(-height // most_rows), min(height * width // _LEAST_PIXELS, _SHARES))
     if count > 1:
         count = -(-count // _EVEN) * _EVEN
     rows = -(-height // count)

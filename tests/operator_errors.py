@@ -213,7 +213,7 @@ def _positions(given: Inputs, steps: int) -> np.ndarray:
 
 
 def _recall(given: Inputs) -> float:
-    output = recall.remember(given["past"])
+    output = recall.remember(given["past"], _STRIPS)
     positions = _positions(given, 256)
     got = recall.recall(output, positions, _STRIPS)
     height, width = output.shape[:2]
@@ -233,7 +233,7 @@ def _recall(given: Inputs) -> float:
 def _antialias(given: Inputs) -> float:
     by = demodulate.divisor(given["albedo"], SPEC.demodulate)
     before = demodulate.divisor(given["before"], SPEC.demodulate)
-    past, positions = recall.remember(before), _positions(given, 256)
+    past, positions = recall.remember(before, _STRIPS), _positions(given, 256)
     samples = SPEC.temporal.albedo_samples
     got, picture = np.empty_like(past), np.empty_like(by)
     antialias.accumulate(by, past, samples, positions, got, picture, _STRIPS)
@@ -242,7 +242,7 @@ def _antialias(given: Inputs) -> float:
 
 
 def _sharp_recall(given: Inputs) -> float:
-    output = recall.remember(given["past"])
+    output = recall.remember(given["past"], _STRIPS)
     positions = _positions(given, 32)  # what cubic convolution rounds to itself
     got = recall.recall(output, positions, _STRIPS, sharp=True)
     wanted, brightest = oracles.sharp_recall(output, positions)

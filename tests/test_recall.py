@@ -13,7 +13,7 @@ from tests import oracles
 def ramp(height, width):
     """An output whose value tells where it lies; bilinear interpolation of it is exact."""
     row, column = np.mgrid[0:height, 0:width].astype(np.float32)
-    return recall.remember(np.dstack([column, row, np.ones_like(row)]))
+    return recall.remember(np.dstack([column, row, np.ones_like(row)]), Strips(1))
 
 
 def moved(motion):
@@ -23,7 +23,7 @@ def moved(motion):
 
 def test_what_is_remembered_is_a_copy_that_is_valid_everywhere(rng):
     image = rng.random((5, 7, 3)).astype(np.float32)
-    output = recall.remember(image)
+    output = recall.remember(image, Strips(1))
     expected = image.copy()
     image[...] = -1
     np.testing.assert_array_equal(output[..., :3], expected)
@@ -67,7 +67,7 @@ def thirty_seconds(rng, shape, far):
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_sharp_recall_equals_the_loop_oracle(rng, threads):
-    output = recall.remember(rng.lognormal(0, 3, (23, 18, 3)).astype(np.float32))
+    output = recall.remember(rng.lognormal(0, 3, (23, 18, 3)).astype(np.float32), Strips(1))
     positions = moved(thirty_seconds(rng, (23, 18), far=5))
     past = recall.recall(output, positions, Strips(threads), sharp=True)
     expected, brightest = oracles.sharp_recall(output, positions)
@@ -82,7 +82,7 @@ def test_sharp_recall_invents_no_light(rng):
     image[11, 7] = 1e30
     image[25:, 20:] = 0
     motion = (rng.random((40, 33, 2)) * 9 - 4.5).astype(np.float32)
-    past = recall.recall(recall.remember(image), moved(motion), Strips(1), sharp=True)
+    past = recall.recall(recall.remember(image, Strips(1)), moved(motion), Strips(1), sharp=True)
     assert np.isfinite(past).all()
     assert past.min() >= 0
     column, row = (np.arange(size, dtype=np.float32) for size in (33, 40))
@@ -108,7 +108,8 @@ def test_an_edge_that_moves_half_a_pixel_a_frame_stays_sharp():
             np.where(np.arange(64) < 20, 0.0, 1.0)[None, :, None]
             .repeat(8, 0)
             .repeat(3, 2)
-            .astype(np.float32)
+            .astype(np.float32),
+            Strips(1),
         )
         motion = np.full((8, 64, 2), (-0.5, 0), np.float32)
         for _ in range(16):
@@ -124,10 +125,12 @@ def test_layers_are_recalled_as_the_beauty_was(rng):
     share = rng.random(beauty.shape).astype(np.float32)
     parts = [beauty * share - 1, beauty * (1 - share) + 1]  # one of them has negative values
     motion = (rng.random((31, 22, 2)) * 6 - 3).astype(np.float32)
-    whole = recall.remember(beauty)
+    whole = recall.remember(beauty, Strips(1))
     positions = moved(motion)
     follow = recall.recall_of_layers(whole, positions, spec, Strips(1))
-    added = sum(follow(recall.remember(part)).astype(np.float64)[..., :3] for part in parts)
+    added = sum(
+        follow(recall.remember(part, Strips(1))).astype(np.float64)[..., :3] for part in parts
+    )
     expected = recall.recall(whole, positions, Strips(1), sharp=True)
     valid = expected[..., 3] > 0.01  # below, light fades
     np.testing.assert_allclose(added[valid], expected[..., :3][valid], rtol=1e-5, atol=2e-5)

@@ -23,8 +23,8 @@ def test_strips_are_every_row_once_and_no_larger_than_asked(height, width, pixel
 @pytest.mark.parametrize("threads", [1, 3])
 def test_results_come_in_order_and_errors_come_out(threads):
     strips = Strips(threads)
-    tops = strips.run(lambda rows: rows.start, 300, 10)
-    assert tops == [strip.start for strip in strips_of(300, 10)]
+    tops = strips.run(lambda rows: rows.start, 300, 900)
+    assert tops == [strip.start for strip in strips_of(300, 900)]
     assert len(tops) > 1
 
     def fail(rows):
@@ -32,7 +32,7 @@ def test_results_come_in_order_and_errors_come_out(threads):
             raise ValueError("here")
 
     with pytest.raises(ValueError, match="here"):
-        strips.run(fail, 300, 10)
+        strips.run(fail, 300, 900)
     strips.close()
 
 
