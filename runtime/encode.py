@@ -60,10 +60,8 @@ def frame_exposure(light: np.ndarray, options: Transfer) -> float:
     return min(max(options.middle / typical, 1e-30), 1e30)
 
 
-def steady_exposure(now: float, before: float | None, options: Transfer) -> float:
+def steady_exposure(now: float, before: float, options: Transfer) -> float:
     """Exposure of a sequence: a running mean of the logarithm, so that it does not pump."""
-    if before is None:
-        return now
     keep = options.exposure_memory
     return math.exp(keep * math.log(before) + (1 - keep) * math.log(now))
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from stillray import accumulate as acc
-from stillray import antialias, encode, mirror
+from stillray import antialias, encode, mirror, relight
 from stillray import reproject as rep
 from stillray.demodulate import divisor
 from stillray.frame import Frame
@@ -19,6 +19,8 @@ from stillray.scratch import Scratch
 from stillray.silhouettes import follow_nearer
 from stillray.strips import Strips, interleave, planes_of, with_halo
 from stillray.timing import timed, timed_pass
+
+_RELIT = 0.5  # share of the past that is kept, below which the exposure begins anew
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,6 +51,8 @@ class History:
         Geometry of the last frame, see `stillray.reproject.pack`.
     exposure
         1 / irradiance, steadied over the sequence.
+    brightness
+        See `stillray.relight`; None where the frame is too small to tell changes of light.
     output : (h, w, 4) float32 or None
         The last output, see `stillray.recall.remember`; None for models that take none.
     divisor : (h, w, 4) float32 or None
@@ -62,6 +66,7 @@ class History:
     mean: np.ndarray
     guides: np.ndarray | None
     exposure: float
+    brightness: relight.Brightness | None = None
     output: np.ndarray | None = None
     divisor: np.ndarray | None = None
     divisor_samples: float = 0.0
@@ -97,6 +102,8 @@ class Prepared:
         Where the pixels' picture was in the last one: x and y by their motion, but at silhouettes
         by that of the nearer surface, see `stillray.silhouettes`. None where nothing moves, or
         without a past, or where nobody looks at past pictures.
+    worth : (h, w) float32 or None
+        How much of the past was kept where light has changed, see `stillray.relight`.
     fresh : (h, w) uint8 or None
         1 where a pixel holds this frame's sample alone; None without a past, or where nobody looks
         at past outputs.
@@ -115,6 +122,7 @@ class Prepared:
     motion: np.ndarray | None
     picture_positions: np.ndarray | None = None
     fresh: np.ndarray | None = None
+    worth: np.ndarray | None = None
 
 
 def prepare(
@@ -170,11 +178,14 @@ def prepare(
             buffers = buffers.repaired()
         _demodulate(buffers, divide_by, luminance, spec, strips, timings)
     with timed(timings, "expose"):
-        exposure = encode.steady_exposure(
-            encode.frame_exposure(luminance, spec.transfer),
-            None if history is None else history.exposure,
-            spec.transfer,
-        )
+        exposure = encode.frame_exposure(luminance, spec.transfer)
+        bright = relight.brightness(luminance, exposure, strips) if temporal else None
+        worth: np.ndarray | None = None
+        earlier = None if history is None else history.brightness
+        if bright is not None and earlier is not None and buffers.motion is not None:
+            worth, bright = relight.follow(bright, earlier, buffers.motion, exposure)
+        if history is not None and (worth is None or cv2.mean(worth)[0] >= _RELIT):
+            exposure = encode.steady_exposure(exposure, history.exposure, spec.transfer)
         _local_luminance(luminance, exposure, local, spec, strips)
         depth_unit = 1.0 if buffers.depth is None else encode.depth_scale(buffers.depth)
 
@@ -225,6 +236,8 @@ def prepare(
         planes: np.ndarray | None = None
         if past is not None:
             planes = planes_of(past, out=scratch.array("mean", (4, *past.shape[:2])))
+            if worth is not None:
+                planes[3] *= worth[rows]
         weight = acc.sample_weight(
             luminance[rows],
             local[rows],
@@ -298,6 +311,7 @@ def prepare(
             mean=mean,
             guides=guides,
             exposure=exposure,
+            brightness=bright,
             divisor=remembered,
             divisor_samples=samples,
         ),
@@ -313,6 +327,7 @@ def prepare(
         motion=buffers.motion,
         picture_positions=positions if looks_back else None,
         fresh=fresh,
+        worth=worth,
     )
 
 

@@ -90,11 +90,9 @@ def prepare(frame: Frame, before: Buffers | None, options: SequenceOptions) -> B
     transfer = Transfer(
         middle=options.middle, local_size=1, exposure_memory=options.exposure_memory
     )
-    exposure = encode.steady_exposure(
-        encode.frame_exposure(encode.luminance(irradiance), transfer),
-        None if before is None else before.exposure,
-        transfer,
-    )
+    exposure = encode.frame_exposure(encode.luminance(irradiance), transfer)
+    if before is not None:
+        exposure = encode.steady_exposure(exposure, before.exposure, transfer)
     if normal is None and depth is None:
         depth_of_all = np.ones(frame.shape, np.float32)
         guides = reproject.pack(None, depth_of_all)
