@@ -39,7 +39,8 @@ class Doubled:
         given = self._logits[:, top:bottom].reshape(weights.shape)
         np.clip(given, np.float32(-self._bound), np.float32(self._bound), out=weights)
         cv2.exp(weights.reshape(-1, width), dst=weights.reshape(-1, width))
-        own = np.add(*weights, out=scratch.array("own", (4, high, width)))
+        own = scratch.array("own", (4, high, width))
+        np.add(weights[0], weights[1], out=own)
         mixed = scratch.array("mixed", (3, 2, high, width))
         doubled = scratch.array("doubled", (3, 2 * high, 2 * width))
         middle = self._light[:, 1 + top : 1 + bottom]

@@ -53,16 +53,17 @@ pixel of kpyr-5 to 1e28 times itself (now 5), and four frames later to 1e21 time
 Processor time of one thread at 1280x720, old and new in turn in one process, on a loaded machine
 (difference of the shortest of 60 runs; 16 for normals): weights and accumulation 19.5 ms before,
 +1.3 ms; +4.7 ms if every strip of the frame has a firefly to darken and there is no albedo. Normals
-of any length: 8.8 ms before, +1.4 ms; +6.8 ms where they are not unit.
+of any length: 8.8 ms before, +1.4 ms; +6.8 ms where they are not unit. Changes of light: +0.95 ms.
 
 ## What lets go of light that changed
 
 The light of a frame's samples is compared with that of the last frames' by blocks of 16x16 pixels
 (`stillray.relight`). Where all of 5x5 blocks are darker, or all brighter, and by 0.4 stops or more,
-the past is worth less, from 0.8 stops on nothing. Before, a light that was switched on took 33 frames
-to show, one that was switched off 72 to 80, and the exposure as many. Of 1,618 frames of rooms, courts
-and validation scenes at 1 sample a pixel, 5 lost some past to noise, 1.1 % of it at most. Changes by
-less than half a stop still fade in over 20 to 30 frames.
+the past is worth less, from 0.8 stops on nothing. Before, a light that was switched on took 33
+frames to show, one that was switched off 72 to 80, and the exposure as many. Changes by less than
+half a stop still fade in over 20 to 30 frames. Of 1,618 frames, those of `train.toml` and the
+validation scenes, 5 lost some past to noise, 1.1 % of the picture at most:
+`python -m stillray.training.light_changes FOLDER...` lists them.
 
 """
 
