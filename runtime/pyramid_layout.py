@@ -23,7 +23,8 @@ class LevelLayout:
         Weights for the next coarser level; empty at the coarsest.
     blend
         What a pixel takes: at the coarsest level its kernels, against itself at logit 0; elsewhere
-        itself and its kernels, against the coarser level at logit 0.
+        itself and its kernels, against the coarser level at logit 0. Itself by what it holds of a
+        sample, if that is less than one.
     resolve
         At the finest level the eight `NEIGHBOURS` and the previous output, against the pixel
         itself at logit 0; empty elsewhere.

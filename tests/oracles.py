@@ -204,6 +204,7 @@ def kernel_pyramid(
             if coarsest:
                 shares = [1.0, *shares]
             else:
+                shares[0] *= min(held[y, x], 1)
                 after = -16 if options.predicted else -8
                 choices.append(_doubled(result, weights[level + 1][after:][:8], y, x))
                 shares.append(1.0)

@@ -55,7 +55,6 @@ def _peak(denoiser: stillray.Denoiser, before: int, after: int) -> float:
     "a firefly of 1e3 to 3e38 in the first frame",
     "largest pixel / the same without it",
     6,
-    kpyr_5s=_TRUSTS_SAMPLES,
     nbg_2x1="one grid spreads a firefly over 6 pixels to each side, too few to bring it down",
 )
 def firefly_in_the_first_frame(denoiser: stillray.Denoiser) -> float:
@@ -105,8 +104,6 @@ def _clusters(denoiser: stillray.Denoiser, brightness: float, after: int) -> flo
     "3x3 pixels share a sample of 1e3, moving 1 pixel a frame, 8 frames",
     "largest pixel / the same without it",
     100,
-    kpyr_5=_TRUSTS_SAMPLES,
-    kpyr_5s=_TRUSTS_SAMPLES,
     nbg_7x3=_TRAINED_ON_CLEAN,
     wskp_mr=_TRUSTS_SAMPLES,
 )
@@ -118,8 +115,6 @@ def cluster_of_fireflies(denoiser: stillray.Denoiser) -> float:
     "the same with 1e8",
     "largest pixel / the same without it",
     100,
-    kpyr_5=_TRUSTS_SAMPLES,
-    kpyr_5s=_TRUSTS_SAMPLES,
     nbg_7x3=_TRAINED_ON_CLEAN,
     wskp_mr=_TRUSTS_SAMPLES,
 )
@@ -231,6 +226,7 @@ _TAKEN_FOR_A_FIREFLY = "the network spreads little of one bright pixel, however 
     "share of its light lost",
     0.25,
     kpyr_5=_TAKEN_FOR_A_FIREFLY,
+    kpyr_5s=_TAKEN_FOR_A_FIREFLY,
     wskp_mr=_TAKEN_FOR_A_FIREFLY,
     wskp_6=_TAKEN_FOR_A_FIREFLY,
 )

@@ -55,8 +55,12 @@ def kernel_pyramid(
     result: Tensor | None = None
     for level in reversed(range(levels)):
         own = light[level]
-        zero = torch.zeros_like(maps[level].blend[:, :1])
-        logit = torch.cat([zero, maps[level].blend, maps[level].around], 1)
+        blend = maps[level].blend
+        if result is not None:  # a sample that is worth less than one counts as little
+            worth = held[level].clamp(max=1).log()
+            blend = torch.cat([blend[:, :1] + worth, blend[:, 1:]], 1)
+        zero = torch.zeros_like(blend[:, :1])
+        logit = torch.cat([zero, blend, maps[level].around], 1)
         first, *others = logit.softmax(1).split(1, 1)
         if result is None:
             total = first * own
