@@ -339,7 +339,7 @@ def _blend(
         light = coarser.rows(rows, scratch)
         own = others.pop(0)
         # A sample that is worth less than one counts as little for its own pixel. A lone firefly
-        # of a first frame lifted it 31 times in one network, which knew them well; now 5 times.
+        # of a first frame lifted one of kpyr-5s 7.4 times, and now does 2.2 times.
         own *= np.minimum(planes[3, rows], 1, out=scratch.array("worth", shape))
         for plane, sums in zip(planes, light, strict=False):
             cv2.accumulateProduct(plane[rows], own, sums)
