@@ -25,7 +25,7 @@ def test_a_quiet_frame_is_nearer_to_the_reference_but_for_its_fireflies():
     for one in quiet:
         fireflies = one.color.max(axis=-1) > 9 * np.median(reference)
         assert fireflies.mean() < 5e-2
-        assert np.abs(one.color - reference)[~fireflies].mean() <= 0.6 * noise  # of four samples
+        assert np.abs(one.color - reference)[~fireflies].mean() <= 0.51 * noise
         assert one.color.min() >= 0
         assert one.motion is None  # the frames before it are not quiet
         counts.append(np.count_nonzero(fireflies))
@@ -38,20 +38,3 @@ def test_a_quiet_frame_ignores_broken_samples():
     frame.color[3, 4] = np.nan
     quiet = quiet_frame(frame, reference, np.random.default_rng(1))
     assert np.isfinite(quiet.color).all()
-
-
-def test_less_noise_is_that_of_more_samples_wherever_they_were():
-    # a tenth of the pixels carry the light: most blocks of many samples have some
-    rng = np.random.default_rng(5)
-    reference = np.full((64, 64, 3), 0.5, np.float32)
-    lit = rng.random((64, 64, 1)) < 0.1
-    frame = Frame(color=np.where(lit, reference * 10, 0).astype(np.float32))
-    spread = set()
-    for seed in range(30):
-        quiet = quiet_frame(frame, reference, np.random.default_rng(seed)).color
-        plain = quiet[quiet.max(axis=-1) < 4.5]
-        assert abs(plain.mean() / 0.5 - 1) < 0.1
-        spread.add(round(float(plain.std() / 0.5), 1))
-    # exponential noise of 0, 64, 16 and 4 samples: 3 / sqrt(samples)
-    assert min(spread) == 0
-    assert max(spread) > 1
