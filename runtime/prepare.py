@@ -17,7 +17,7 @@ from stillray.models_spec.loader import ModelSpec
 from stillray.repair import Buffers
 from stillray.scratch import Scratch
 from stillray.silhouettes import follow_nearer
-from stillray.strips import Strips, interleave, planes_of, with_halo
+from stillray.strips import STRIP_PIXELS, Strips, interleave, planes_of, with_halo
 from stillray.timing import timed, timed_pass
 
 _RELIT = 0.5  # share of the past that is kept, below which the exposure begins anew
@@ -51,8 +51,8 @@ class History:
         Geometry of the last frame, see `stillray.reproject.pack`.
     exposure
         1 / irradiance, steadied over the sequence.
-    brightness
-        See `stillray.relight`; None where the frame is too small to tell changes of light.
+    noise
+        See `stillray.relight`; None in a first frame.
     output : (h, w, 4) float32 or None
         The last output, see `stillray.recall.remember`; None for models that take none.
     divisor : (h, w, 4) float32 or None
@@ -66,7 +66,7 @@ class History:
     mean: np.ndarray
     guides: np.ndarray | None
     exposure: float
-    brightness: relight.Brightness | None = None
+    noise: relight.Noise | None = None
     output: np.ndarray | None = None
     divisor: np.ndarray | None = None
     divisor_samples: float = 0.0
@@ -179,12 +179,8 @@ def prepare(
         _demodulate(buffers, divide_by, luminance, spec, strips, timings)
     with timed(timings, "expose"):
         exposure = encode.frame_exposure(luminance, spec.transfer)
-        bright = relight.brightness(luminance, exposure, strips) if temporal else None
-        worth: np.ndarray | None = None
-        earlier = None if history is None else history.brightness
-        if bright is not None and earlier is not None and buffers.motion is not None:
-            worth, bright = relight.follow(bright, earlier, buffers.motion, exposure)
-        if history is not None and (worth is None or cv2.mean(worth)[0] >= _RELIT):
+        own_exposure = exposure
+        if history is not None:
             exposure = encode.steady_exposure(exposure, history.exposure, spec.transfer)
         _local_luminance(luminance, exposure, local, spec, strips)
         depth_unit = 1.0 if buffers.depth is None else encode.depth_scale(buffers.depth)
@@ -232,12 +228,21 @@ def prepare(
             follow_nearer(at, motion, buffers.depth, rows, scratch)
         return warped
 
-    def accumulate(rows: slice, past: np.ndarray | None, scratch: Scratch) -> None:
-        planes: np.ndarray | None = None
-        if past is not None:
-            planes = planes_of(past, out=scratch.array("mean", (4, *past.shape[:2])))
-            if worth is not None:
-                planes[3] *= worth[rows]
+    reprojected = kept.array("reprojected", (4 * shape[0] * shape[1],)) if moves else None
+    half = ((shape[0] + 1) // 2, (shape[1] + 1) // 2)
+    blocks = kept.array("blocks", (relight.PLANES, *half)) if moves else None
+
+    def past_of(rows: slice) -> np.ndarray | None:
+        """The reprojected past of some rows, ``(4, rows, w)``."""
+        if reprojected is None:
+            return None
+        flat = reprojected[4 * shape[1] * rows.start : 4 * shape[1] * rows.stop]
+        return flat.reshape(4, rows.stop - rows.start, shape[1])
+
+    def accumulate(rows: slice, scratch: Scratch) -> None:
+        planes = past_of(rows)
+        if planes is not None and worth is not None:
+            planes[3] *= worth[rows]
         weight = acc.sample_weight(
             luminance[rows],
             local[rows],
@@ -271,8 +276,9 @@ def prepare(
 
     with timed_pass(timings) as part:
 
-        def work(rows: slice) -> None:
-            scratch, past, now = strips.scratch, None, None
+        def look_back(block_rows: slice) -> None:
+            rows = slice(2 * block_rows.start, min(2 * block_rows.stop, shape[0]))
+            scratch, now = strips.scratch, None
             if guides is not None:
                 with part("guides"):
                     normal, depth = buffers.normal, buffers.depth
@@ -285,10 +291,33 @@ def prepare(
             if history is not None and buffers.motion is not None:
                 with part("warp"):
                     past = warp(rows, now, buffers.motion, history, scratch)
-            with part("accumulate"):
-                accumulate(rows, past, scratch)
+                    planes = planes_of(past, out=past_of(rows))
+                with part("accumulate"):
+                    weight = acc.sample_weight(
+                        luminance[rows], local[rows], planes[3], exposure, spec.temporal, scratch
+                    )
+                    assert blocks is not None
+                    relight.compare(
+                        luminance[rows], weight, planes, exposure, blocks[:, block_rows], scratch
+                    )
 
-        strips.run(work, *shape)
+        strips.run(look_back, *half, pixels=STRIP_PIXELS // 4)
+    worth: np.ndarray | None = None
+    noise: relight.Noise | None = None
+    if blocks is not None and history is not None and buffers.motion is not None:
+        with timed(timings, "accumulate"):
+            worth, noise = relight.confidence(blocks, history.noise, buffers.motion, exposure)
+            if worth is not None and cv2.mean(worth)[0] < _RELIT:
+                exposure = own_exposure
+                _local_luminance(luminance, exposure, local, spec, strips)
+    with timed_pass(timings) as part:
+
+        def work(block_rows: slice) -> None:
+            rows = slice(2 * block_rows.start, min(2 * block_rows.stop, shape[0]))
+            with part("accumulate"):
+                accumulate(rows, strips.scratch)
+
+        strips.run(work, *half, pixels=STRIP_PIXELS // 4)
     if accumulated is not None:
         with timed(timings, "accumulate"):
             _local_luminance(accumulated, exposure, local, spec, strips)
@@ -311,7 +340,7 @@ def prepare(
             mean=mean,
             guides=guides,
             exposure=exposure,
-            brightness=bright,
+            noise=noise,
             divisor=remembered,
             divisor_samples=samples,
         ),
