@@ -70,8 +70,46 @@ def test_examples_hold_one_sample_a_few_and_more(data, small):
     held = [float(np.median(example.mean[..., 3])) for example in examples]
     assert len(held) == len(STARTS) + 1
     assert held[0] <= 1 < held[1]
-    assert [example.quiet for example in examples] == [False] * len(STARTS) + [True]
+    assert [example.kind for example in examples] == [NOISY] * len(STARTS) + [QUIET]
+    assert [example.frames for example in examples[: len(STARTS)]] == list(STARTS)
     assert held[-1] <= 1
+
+
+def test_blocks_give_frames_of_more_samples(data, small, tmp_path):
+    sequence = tmp_path / "room-0000-0"
+    shutil.copytree(find_sequences(data)[0], sequence)
+    # two more blocks whose samples are the reference's: their mean is known
+    last = sorted(sequence.glob("frame_*.exr"))[-1]
+    for index in range(2):
+        shutil.copy(last, sequence / f"block_0007_{index:02d}.exr")
+    record = json.loads((sequence / "sequence.json").read_text())
+    record["options"]["blocks"] = [3, 12]
+    (sequence / "sequence.json").write_text(json.dumps(record))
+    examples = load_examples(sequence, small, Strips(1))
+    still = [example for example in examples if example.kind == STILL]
+    quiet = [example for example in examples if example.kind == QUIET]
+    assert {example.spp for example in still} <= {1.0, 3.0, 4.0, 12.0, 13.0, 15.0, 16.0}
+    assert all(32 <= example.spp <= 4096 for example in quiet)
+    for example in quiet:
+        light = example.sample[..., :3] * example.divisor
+        off = np.median(np.abs(light - example.reference))
+        noise = np.median(np.abs(read_exr(last).color - example.reference))
+        assert off < 0.75 * noise
+    # what network and feature see: samples that are told count, in half of the patches
+    planes = [PatchSampler(still, small).batch(step).features for step in range(4)]
+    assert np.concatenate(planes)[:, small.network.features.index("samples")].max() > 0.7
+
+
+def test_a_target_takes_the_place_of_the_reference(data, small, tmp_path):
+    sequence = tmp_path / "room-0000-0"
+    shutil.copytree(find_sequences(data)[0], sequence)
+    before = read_target(sequence)[0]
+    pytest.importorskip("pyoidn")
+    bias = make_target(sequence)
+    after = read_target(sequence)[0]
+    assert (before != after).any()
+    assert abs(bias) < 0.1
+    assert np.abs(np.diff(after, axis=0)).mean() < np.abs(np.diff(before, axis=0)).mean()
 
 
 def test_quiet_patches_come_as_often_as_asked(data, small):

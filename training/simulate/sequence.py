@@ -9,8 +9,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
+from stillray.display import DISPLAY_MEDIAN
 from stillray.errors import InputError
 from stillray.exr import atomic_path, write_channels
 from stillray.training.simulate import buffers
@@ -23,6 +25,7 @@ from stillray.training.simulate.viewpoint import find_path, require_open
 from stillray.training.simulate.world import World
 from stillray.training.simulate.xml_scene import open_xml
 
+_PREVIEW_SPP = 4
 _STALE = 600.0  # seconds after which an unfinished file belongs to a run that was killed
 RECORD = "sequence.json"  # written last: a sequence without it is not finished
 _LAYERS = {
@@ -50,6 +53,10 @@ class SequenceOptions:
     width: int = 256  # pixels, 1 or more
     spp: int = 1  # samples a pixel of the noisy frames, 1 or more
     reference_spp: int = 256  # samples a pixel of the references, 1 or more
+    blocks: tuple[int, ...] = ()  # samples of further, independent blocks of the last frame
+    # Bounds between which what one contribution of indirect light may have is drawn, as production
+    # renderers limit it: times what a display shows as white. None: any.
+    clamp: tuple[float, float] | None = None
     references: int = 1  # the last so many frames have a reference, 0 to frames
     depth: int | None = None  # path vertices, 1 or more; None: what the effects ask for
     reference_scale: int = 1  # references are so many times as wide and high: 1 or 2
@@ -68,6 +75,10 @@ class SequenceOptions:
         for name in ("frames", "height", "width", "spp", "reference_spp"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be 1 or more, got {getattr(self, name)}")
+        if any(count < 1 for count in self.blocks):
+            raise InputError(f"blocks must be of 1 sample or more, got {self.blocks}")
+        if self.clamp is not None and not 0 < self.clamp[0] <= self.clamp[-1]:
+            raise InputError(f"clamp must be two bounds above 0, got {self.clamp}")
         for name in ("speed", "seed"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} must be 0 or more, got {getattr(self, name)}")
@@ -170,8 +181,12 @@ def render_sequence(
     folder.mkdir(parents=True, exist_ok=True)
     _sweep(folder)
     jitters = [_jitter(frame) if options.jitter else np.zeros(2) for frame in range(options.frames)]
+    last = buffers.Moment(frame=options.frames - 1, path=path, focus=focus, jitter=np.zeros(2))
+    clamp = _clamp(stage, options, last)
     for frame in range(options.first, options.frames):
-        moment = buffers.Moment(frame=frame, path=path, focus=focus, jitter=jitters[frame])
+        moment = buffers.Moment(
+            frame=frame, path=path, focus=focus, jitter=jitters[frame], clamp=clamp
+        )
         _render_frame(stage, folder, options, moment)
         on_frame()
     record = {
@@ -182,6 +197,7 @@ def render_sequence(
         "move": move,
         "moving": stage.groups,
         "shutter": stage.plan.shutter,
+        "clamp": clamp,
         "options": asdict(options),
         "cameras": [
             {
@@ -218,18 +234,38 @@ def _render_frame(
     stage: Stage, folder: Path, options: SequenceOptions, moment: buffers.Moment
 ) -> None:
     # launches take consecutive seeds, and Mitsuba's are of 32 bits
-    seeds = np.random.SeedSequence([options.seed, moment.frame]).generate_state(3) >> 1
-    noisy, second, exact = (int(seed) for seed in seeds)
+    is_last = moment.frame == options.frames - 1
+    extra = options.blocks if is_last else ()
+    states = np.random.SeedSequence([options.seed, moment.frame]).generate_state(3 + len(extra))
+    seeds = states >> 1
+    noisy, second, exact, *others = (int(seed) for seed in seeds)
     target = folder / f"frame_{moment.frame:04d}.exr"
     if not target.is_file():
         layers = buffers.render_noisy(stage, moment, spp=options.spp, seed=noisy)
         if options.second_color:
             layers["color_b"] = buffers.render_second(stage, moment, spp=options.spp, seed=second)
         write(target, layers)
+    for index, (spp, seed) in enumerate(zip(extra, others, strict=True)):
+        target = folder / f"block_{moment.frame:04d}_{index:02d}.exr"
+        if not target.is_file():
+            write(target, buffers.render_noisy(stage, moment, spp=spp, seed=seed))
     target = folder / f"ref_{moment.frame:04d}.exr"
     if moment.frame >= options.frames - options.references and not target.is_file():
         reference = buffers.render_reference(stage, moment, spp=options.reference_spp, seed=exact)
         write(target, {"color": reference})
+
+
+def _clamp(stage: Stage, options: SequenceOptions, moment: buffers.Moment) -> float | None:
+    """Radiance that one contribution of indirect light may have."""
+    if options.clamp is None:
+        return None
+    low, high = options.clamp
+    drawn = np.random.default_rng([options.seed, 78]).uniform(np.log(low), np.log(high))
+    seen = buffers.render_noisy(stage, moment, spp=_PREVIEW_SPP, seed=options.seed)["color"]
+    # a preview of few samples is made of fireflies: blocks of pixels tell what is usual
+    light = cv2.resize(seen.mean(axis=-1), None, fx=1 / 8, fy=1 / 8, interpolation=cv2.INTER_AREA)
+    lit = light[light > 0]
+    return float(np.exp(drawn) / DISPLAY_MEDIAN * np.median(lit)) if lit.size else None
 
 
 def write(path: Path, layers: dict[str, np.ndarray]) -> None:
