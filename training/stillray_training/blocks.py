@@ -42,9 +42,12 @@ def mean_frame(blocks: Sequence[tuple[Frame, float]]) -> Frame:
 
     def mean(name: str) -> np.ndarray:
         parts = [getattr(frame, name) * np.float32(count / total) for frame, count in blocks]
-        return np.sum(parts, axis=0, dtype=np.float32)
+        return np.asarray(np.sum(parts, axis=0, dtype=np.float32))
 
-    hits = np.sum([(frame.depth > 0) * np.float32(count / total) for frame, count in blocks], 0)
+    hits = np.zeros(blocks[0][0].shape, np.float32)
+    for frame, count in blocks:
+        assert frame.depth is not None
+        hits += (frame.depth > 0) * np.float32(count / total)
     depth = mean("depth") / np.maximum(hits, np.float32(1e-6))
     first = blocks[0][0]
     return replace(

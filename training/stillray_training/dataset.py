@@ -111,12 +111,12 @@ def _all_examples(
     if len(blocks) == 1:
         quiet = _example([quiet_frame(frames[-1], reference, rng)], reference, spec, strips)
         return [*examples, replace(quiet, kind=QUIET)]
-    for frame, count in _stills(blocks, rng):
+    for frame, samples in _stills(blocks, rng):
         example = _example([frame], reference, spec, strips)
-        examples.append(replace(example, spp=count, kind=STILL))
-    for frame, count in _quiets(blocks, reference, rng):
+        examples.append(replace(example, spp=samples, kind=STILL))
+    for frame, samples in _quiets(blocks, reference, rng):
         example = _example([frame], reference, spec, strips)
-        example = replace(example, spp=count, kind=QUIET)
+        example = replace(example, spp=samples, kind=QUIET)
         if rng.random() < _BLURRED_PAST:
             example = _with_blurred_past(example, rng)
         examples.append(example)
@@ -130,7 +130,8 @@ def _stills(
     for _ in range(_STILLS):
         most = sum(count for _, count in blocks)
         wanted = np.exp(rng.uniform(np.log(2), np.log(most)))
-        chosen, count = [], 0.0
+        chosen: list[tuple[Frame, float]] = []
+        count = 0.0
         for index in rng.permutation(len(blocks)):
             if not chosen or count + blocks[index][1] <= wanted:
                 chosen.append(blocks[index])
@@ -160,12 +161,13 @@ def _with_blurred_past(example: Example, rng: np.random.Generator) -> Example:
     previous[..., 3] = 1
     for image in (mean, previous):
         for _ in range(int(rng.integers(1, 4))):
-            kernels = []
-            for part in rng.random(2):  # bilinear, a part of a pixel off, there and back
-                way = np.array([part, 1 - part], np.float32)
-                kernels.append(np.convolve(way, way[::-1]).astype(np.float32))
+            # bilinear, a part of a pixel off, there and back
+            ways = [np.array([part, 1 - part], np.float32) for part in rng.random(2)]
+            across, down = (np.convolve(way, way[::-1]).astype(np.float32) for way in ways)
             light = np.ascontiguousarray(image[..., :3])
-            image[..., :3] = cv2.sepFilter2D(light, -1, *kernels, borderType=cv2.BORDER_REPLICATE)
+            image[..., :3] = cv2.sepFilter2D(
+                light, -1, across, down, borderType=cv2.BORDER_REPLICATE
+            )
     own = example.sample[..., 3:]
     light = (frames * mean[..., :3] + own * example.sample[..., :3]) / (frames + own)
     mean = np.concatenate([light, own + frames], -1)
