@@ -1,0 +1,308 @@
+"""History rejection: where the past disagrees with this frame by more than noise can, let it go.
+
+Geometry tells whether a pixel shows the surface that it showed before, not whether that surface is
+still lit as it was: shadows and reflections move over surfaces that stay, lamps are switched. What
+the past says is compared with what the frame's samples say, over windows of 2 to 96 pixels, in
+units of the standard error of their difference; so a quiet frame notices small changes, and a noisy
+one large ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stillray.arrays.workspace import Scratch
+from stillray.stages.accumulate import DARK, MIN_WEIGHT
+from stillray.stages.features import luminance_of_planes
+
+#: Planes that `compare` fills: weight, and weighted difference, light, variance.
+PLANES = 4
+_LEVELS = 5  # blocks of 2, 4, 8, 16, 32 pixels; windows are single blocks of 2, and 3x3 blocks
+# Standard errors that a difference must exceed, from windows of one block of 2x2 pixels to 3x3
+# blocks of 32x32. Of M independent normal differences the largest is about sqrt(2 ln M) (Donoho and
+# Johnstone 1994); M windows fill 1280x720 pixels. One more, since noise is not normal.
+_THRESHOLDS = (6.0, 5.5, 5.2, 4.8, 4.4, 4.0)
+_WINDOW = 3  # blocks
+_NOISE_LEVEL = 3  # blocks of 16 pixels
+_NOISE_FRAMES = 8
+# Share of the light that interpolation, rounding and filters of a renderer may change.
+_SYSTEMATIC = np.float32(0.01)
+# Samples that a window counts as at most: robust weights are not free of bias.
+_MOST_SAMPLES = np.float32(1500)
+# Pixels over which the network will average noise: a bias is as bad as noise so much smaller.
+_FILTERED = np.float32(32)
+_LEAST_WEIGHT = np.float32(1e-3)  # of a window's pixels, below which it says nothing
+_BRIGHTEST = np.float32(1e9)  # exposed: its square, summed, stays in range
+_TINY = np.float32(1e-30)  # keeps 0/0 out
+_BESSEL = np.float32(4 / 3)  # of variances within four pixels
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Noise:
+    """Variance of one sample, by blocks of 16x16 pixels: rare bright samples show over frames.
+
+    Attributes
+    ----------
+    variance : (rows, columns) float32
+        Of exposed irradiance luminance.
+    exposure
+        1 / irradiance.
+    frames
+        That it is a mean of, `_NOISE_FRAMES` at most.
+    """
+
+    variance: np.ndarray
+    exposure: float
+    frames: int = 1
+
+
+def compare(
+    light: np.ndarray,
+    weight: np.ndarray,
+    past: np.ndarray,
+    exposure: float,
+    out: np.ndarray,
+    scratch: Scratch,
+) -> None:
+    """Reduce the difference between a frame's samples and its past to blocks of 2x2 pixels.
+
+    A pixel's difference ``d`` counts with ``a = w n / (n + 1)``, the reciprocal of its variance in
+    units of a sample's, where ``w`` is the weight of the sample and ``n`` the samples of the past.
+    The past is a mean with the same weights, so that ``w d`` is 0 on average if nothing changed,
+    however long the tail of the noise is.
+
+    Parameters
+    ----------
+    light : (h, w) float32
+        Luminance of irradiance of some rows, from an even one on.
+    weight : (h, w) float32
+        See `stillray.stages.accumulate.sample_weight`.
+    past : (4, h, w) float32
+        Reprojected irradiance and samples.
+    exposure
+        1 / irradiance.
+    out : (PLANES, ceil(h / 2), ceil(w / 2)) float32
+        Means over blocks of ``a``, ``a d``, ``a x`` where ``x`` is the exposed light, and ``a``
+        times the variance of a sample, by the covariance of ``d`` and ``x`` within the block: what
+        is lit unevenly and stays so is in ``x`` and not in ``d``.
+    scratch
+        Where temporaries lie.
+    """
+    shape = light.shape
+    even = (shape[0] + shape[0] % 2, shape[1] + shape[1] % 2)
+    planes = scratch.array("compared", (5, *even))
+    if even != shape:
+        planes.fill(0)
+    counted, difference, shown, product, _ = planes[:, : shape[0], : shape[1]]
+    temporary = planes[4, : shape[0], : shape[1]]
+    scale = np.float32(exposure)
+    with np.errstate(over="ignore"):
+        np.multiply(light, scale, out=shown)
+        if weight.min() < MIN_WEIGHT:  # as `stillray.stages.accumulate.bound` does
+            shown *= np.minimum(weight, MIN_WEIGHT, out=temporary) / np.float32(MIN_WEIGHT)
+        before = luminance_of_planes(past, out=difference)
+        before *= scale
+    np.minimum(shown, _BRIGHTEST, out=shown)
+    np.minimum(before, _BRIGHTEST, out=before)
+    np.subtract(shown, before, out=difference)
+    samples = past[3]
+    np.add(samples, 1, out=temporary)
+    np.divide(samples, temporary, out=counted)
+    np.maximum(weight, MIN_WEIGHT, out=temporary)
+    counted *= temporary
+    size = (even[1] // 2, even[0] // 2)
+
+    def reduced(plane: np.ndarray, target: np.ndarray | None = None) -> np.ndarray:
+        return cv2.resize(plane, size, dst=target, interpolation=cv2.INTER_AREA)
+
+    held, apart, lit, variance = out
+    reduced(planes[0], held)
+    planes[1] *= planes[0]
+    reduced(planes[1], apart)
+    np.multiply(planes[1], planes[2], out=planes[3])
+    reduced(planes[3], variance)
+    planes[2] *= planes[0]
+    reduced(planes[2], lit)
+    # a E[d x] - (a d) (a x) / a
+    blocks = scratch.array("blocks", lit.shape)
+    np.maximum(held, _LEAST_WEIGHT, out=blocks)
+    np.divide(lit, blocks, out=blocks)
+    blocks *= apart
+    variance -= blocks
+    variance *= _BESSEL
+
+
+def confidence(
+    blocks: np.ndarray, noise: Noise | None, motion: np.ndarray, exposure: float
+) -> tuple[np.ndarray | None, Noise]:
+    """How far the past can be trusted, by its bias.
+
+    The bias is found by shrinkage from coarse windows to fine ones: a window's difference corrects
+    what coarser windows found by ``r (1 - (k s / r)^2)+`` where ``r`` is what it differs from that
+    by, ``s`` its standard error and ``k`` the threshold (the non-negative garrote, Gao 1998). A
+    past of ``n`` samples of variance ``v`` and bias ``b`` is worth no more than
+    ``n / (1 + n m b^2 / v)`` samples without one, if ``m`` pixels are averaged: the share of ``n``
+    that this leaves is the confidence.
+
+    Parameters
+    ----------
+    blocks : (PLANES, rows, columns) float32
+        What `compare` gave.
+    noise
+        What the last call gave, or None.
+    motion : (h, w, 2) float32
+        Pixels, finite.
+    exposure
+        1 / irradiance.
+
+    Returns
+    -------
+    confidence : (h, w) float32 or None
+        In [0, 1]; None where all of the past is worth what it was.
+    noise
+        For the next frame.
+    """
+    pyramid = [blocks]
+    while len(pyramid) < _LEVELS and min(pyramid[-1].shape[1:]) > 1:
+        pyramid.append(_halved(pyramid[-1]))
+    lowest = min(_NOISE_LEVEL, len(pyramid) - 1)
+    window = _Window.around(pyramid[lowest], lowest)
+    noise = _follow_noise(noise, window, motion, exposure, lowest)
+    usual = np.maximum(noise.variance, window.variance)
+    bias = np.zeros(pyramid[-1].shape[1:], np.float32)
+    for level in reversed(range(len(pyramid))):
+        shape = pyramid[level].shape[1:]
+        window = _Window.around(pyramid[level], level)
+        at_level = _at_level(usual, lowest, level, shape)
+        bias = _corrected(_doubled(bias, shape), window, at_level, _THRESHOLDS[level + 1])
+    alone = _Window.alone(blocks, window)
+    bias = _corrected(bias, alone, at_level, _THRESHOLDS[0])
+    if not bias.any():
+        return None, noise
+    return _doubled(_kept(bias, alone, blocks[0]), motion.shape[:2]), noise
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Window:
+    """What windows say: samples that they are worth, difference, light and variance of a sample."""
+
+    samples: np.ndarray
+    difference: np.ndarray
+    light: np.ndarray
+    variance: np.ndarray
+
+    @staticmethod
+    def around(planes: np.ndarray, level: int) -> _Window:
+        """Windows of 3x3 blocks."""
+        # outside of the frame there are no samples
+        size, border = (_WINDOW, _WINDOW), cv2.BORDER_CONSTANT
+        held, *means = (cv2.blur(plane, size, borderType=border) for plane in planes)
+        share = np.reciprocal(np.maximum(held, _LEAST_WEIGHT))
+        for mean in means:
+            mean *= share
+        difference, light, variance = means
+        np.maximum(variance, 0, out=variance)
+        held *= np.float32(_WINDOW**2 * (4 << 2 * level))
+        return _Window(samples=held, difference=difference, light=light, variance=variance)
+
+    @staticmethod
+    def alone(planes: np.ndarray, window: _Window) -> _Window:
+        """Single blocks of 2x2 pixels, with the light and the variance of the windows around."""
+        return _Window(
+            samples=4 * planes[0],
+            difference=planes[1] / np.maximum(planes[0], _LEAST_WEIGHT),
+            light=window.light,
+            variance=window.variance,
+        )
+
+    def systematic(self) -> np.ndarray:
+        """Differences that are no change of light."""
+        error = np.abs(self.difference) * np.float32(0.5)
+        error += self.light
+        error += np.float32(DARK)
+        error *= _SYSTEMATIC
+        return error
+
+
+def _halved(planes: np.ndarray) -> np.ndarray:
+    """Means of 2x2 blocks; what sticks out of the frame is zeros."""
+    height, width = planes.shape[1:]
+    bottom, right = height % 2, width % 2
+    size = ((width + right) // 2, (height + bottom) // 2)
+    out = np.empty((len(planes), size[1], size[0]), np.float32)
+    for plane, target in zip(planes, out, strict=True):
+        if bottom or right:
+            plane = cv2.copyMakeBorder(plane, 0, bottom, 0, right, cv2.BORDER_CONSTANT, value=0)
+        cv2.resize(plane, size, dst=target, interpolation=cv2.INTER_AREA)
+    return out
+
+
+def _doubled(plane: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Linear interpolation to twice the size, of which ``shape`` is taken; itself at that size."""
+    if plane.shape == shape:
+        return plane
+    size = (2 * plane.shape[1], 2 * plane.shape[0])
+    return cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]]
+
+
+def _at_level(variance: np.ndarray, own: int, level: int, shape: tuple[int, ...]) -> np.ndarray:
+    """The variance of one level's blocks at those of another."""
+    if level > own:
+        return cv2.resize(variance, shape[::-1], interpolation=cv2.INTER_AREA)
+    size = (variance.shape[1] << (own - level), variance.shape[0] << (own - level))
+    return cv2.resize(variance, size, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]]
+
+
+def _follow_noise(
+    before: Noise | None, window: _Window, motion: np.ndarray, exposure: float, level: int
+) -> Noise:
+    """The mean over frames of the variance at a level's blocks."""
+    now = window.variance
+    if before is None or before.variance.shape != now.shape:
+        return Noise(variance=now, exposure=exposure)
+    block = 2 << level
+    row, column = (
+        np.minimum(np.arange(count) * block + block // 2, size - 1)
+        for count, size in zip(now.shape, motion.shape, strict=False)
+    )
+    moved = motion[row[:, None], column] / np.float32(block)
+    place = np.stack(np.meshgrid(*(np.arange(n, dtype=np.float32) for n in now.shape[::-1])), -1)
+    place += moved
+    past = cv2.remap(before.variance, place, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    past *= np.float32(min((exposure / before.exposure) ** 2, _BRIGHTEST))
+    frames = min(before.frames + 1, _NOISE_FRAMES)
+    seen = window.samples > _LEAST_WEIGHT
+    past += (now - past) * seen / np.float32(frames)
+    return Noise(variance=past, exposure=exposure, frames=frames)
+
+
+def _corrected(
+    bias: np.ndarray, window: _Window, usual: np.ndarray, threshold: float
+) -> np.ndarray:
+    """The bias that coarser windows found, corrected by what finer ones say."""
+    error = np.maximum(window.variance, usual)
+    error *= 1 / np.maximum(window.samples, _LEAST_WEIGHT) + 1 / _MOST_SAMPLES
+    error *= np.float32(threshold**2)
+    error += np.square(window.systematic())
+    rest = window.difference - bias
+    square = np.square(rest)
+    error /= np.maximum(square, _TINY, out=square)
+    np.subtract(1, error, out=error)
+    rest *= np.maximum(error, 0, out=error)
+    rest += bias
+    return rest
+
+
+def _kept(bias: np.ndarray, window: _Window, held: np.ndarray) -> np.ndarray:
+    """What a bias leaves of the past's samples, by blocks of 2x2 pixels."""
+    samples = held / np.maximum(1 - held, _LEAST_WEIGHT)  # of n / (n + 1)
+    noise = window.variance + np.square(window.systematic())
+    lost = np.square(bias)
+    lost *= samples
+    lost *= _FILTERED
+    lost /= np.maximum(noise, _TINY)
+    lost += 1
+    return np.reciprocal(lost, out=lost)
