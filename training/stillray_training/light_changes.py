@@ -32,8 +32,10 @@ def main(
             prepared = prepare(read_exr(path), spec, history, strips, {})
             history = prepared.history
             total += 1
-            if prepared.worth is not None:
-                lost.append((f"{sequence.name}/{path.name}", 1 - float(prepared.worth.mean())))
+            if prepared.history_confidence is not None:
+                lost.append(
+                    (f"{sequence.name}/{path.name}", 1 - float(prepared.history_confidence.mean()))
+                )
     print(f"{len(lost)} of {total} frames lost some of their past")
     for name, share in lost:
         print(f"{name}: {100 * share:.2f} %")

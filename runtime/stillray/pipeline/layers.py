@@ -175,8 +175,8 @@ def _accumulation(
                 mean, before, rough, guides, positions, rows, spec.temporal, scratch
             )
             planes = planes_of(past, out=scratch.array("mean", (4, *past.shape[:2])))
-            if prepared.worth is not None:
-                planes[3] *= prepared.worth[rows]
+            if prepared.history_confidence is not None:
+                planes[3] *= prepared.history_confidence[rows]
             acc.accumulate(light[:, rows], weight[rows], planes, spec.temporal, scratch)
             interleave(planes, out=result[rows])
 

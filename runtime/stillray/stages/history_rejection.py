@@ -33,7 +33,7 @@ _SYSTEMATIC = np.float32(0.01)
 # Samples that a window counts as at most: robust weights are not free of bias.
 _MOST_SAMPLES = np.float32(1500)
 # Pixels over which the network will average noise: a bias is as bad as noise so much smaller.
-_FILTERED = np.float32(32)
+_FILTERED = np.float32(100)
 _LEAST_WEIGHT = np.float32(1e-3)  # of a window's pixels, below which it says nothing
 _BRIGHTEST = np.float32(1e9)  # exposed: its square, summed, stays in range
 _TINY = np.float32(1e-30)  # keeps 0/0 out
@@ -96,7 +96,7 @@ def compare(
     planes = scratch.array("compared", (5, *even))
     if even != shape:
         planes.fill(0)
-    counted, difference, shown, product, _ = planes[:, : shape[0], : shape[1]]
+    counted, difference, shown = planes[:3, : shape[0], : shape[1]]
     temporary = planes[4, : shape[0], : shape[1]]
     scale = np.float32(exposure)
     with np.errstate(over="ignore"):
@@ -271,7 +271,9 @@ def _follow_noise(
     moved = motion[row[:, None], column] / np.float32(block)
     place = np.stack(np.meshgrid(*(np.arange(n, dtype=np.float32) for n in now.shape[::-1])), -1)
     place += moved
-    past = cv2.remap(before.variance, place, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    past = cv2.remap(
+        before.variance, place, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     past *= np.float32(min((exposure / before.exposure) ** 2, _BRIGHTEST))
     frames = min(before.frames + 1, _NOISE_FRAMES)
     seen = window.samples > _LEAST_WEIGHT

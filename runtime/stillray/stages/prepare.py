@@ -15,7 +15,7 @@ from stillray.model_spec.loader import ModelSpec
 from stillray.stages import accumulate as acc
 from stillray.stages import albedo_history as antialias
 from stillray.stages import features as encode
-from stillray.stages import history_rejection as relight
+from stillray.stages import history_rejection as rejection
 from stillray.stages import reproject as rep
 from stillray.stages import specular_motion as mirror
 from stillray.stages.demodulate import divisor
@@ -71,7 +71,7 @@ class History:
     mean: np.ndarray
     guides: np.ndarray | None
     exposure: float
-    noise: relight.Noise | None = None
+    noise: rejection.Noise | None = None
     output: np.ndarray | None = None
     divisor: np.ndarray | None = None
     divisor_samples: float = 0.0
@@ -108,9 +108,9 @@ class Prepared:
         Where the pixels' picture was in the last one: x and y by their motion, but at silhouettes
         by that of the nearer surface, see `stillray.stages.motion_dilation`. None where nothing
         moves, or without a past, or where nobody looks at past pictures.
-    worth : (h, w) float32 or None
-        How much of the past was kept where light has changed, see
-        `stillray.stages.history_rejection`.
+    history_confidence : (h, w) float32 or None
+        How far the past agrees with this frame, in [0, 1], see `stillray.stages.history_rejection`;
+        None where all of it does.
     fresh : (h, w) uint8 or None
         1 where a pixel holds this frame's sample alone; None without a past, or where nobody looks
         at past outputs.
@@ -129,7 +129,7 @@ class Prepared:
     motion: np.ndarray | None
     picture_positions: np.ndarray | None = None
     fresh: np.ndarray | None = None
-    worth: np.ndarray | None = None
+    history_confidence: np.ndarray | None = None
 
 
 def prepare(
@@ -237,7 +237,7 @@ def prepare(
 
     reprojected = kept.array("reprojected", (4 * shape[0] * shape[1],)) if moves else None
     half = ((shape[0] + 1) // 2, (shape[1] + 1) // 2)
-    blocks = kept.array("blocks", (relight.PLANES, *half)) if moves else None
+    blocks = kept.array("blocks", (rejection.PLANES, *half)) if moves else None
 
     def past_of(rows: slice) -> np.ndarray | None:
         """The reprojected past of some rows, ``(4, rows, w)``."""
@@ -248,8 +248,8 @@ def prepare(
 
     def accumulate(rows: slice, scratch: Scratch) -> None:
         planes = past_of(rows)
-        if planes is not None and worth is not None:
-            planes[3] *= worth[rows]
+        if planes is not None and confidence is not None:
+            planes[3] *= confidence[rows]
         weight = acc.sample_weight(
             luminance[rows],
             local[rows],
@@ -304,17 +304,19 @@ def prepare(
                         luminance[rows], local[rows], planes[3], exposure, spec.temporal, scratch
                     )
                     assert blocks is not None
-                    relight.compare(
+                    rejection.compare(
                         luminance[rows], weight, planes, exposure, blocks[:, block_rows], scratch
                     )
 
         strips.run(look_back, *half, pixels=STRIP_PIXELS // 4)
-    worth: np.ndarray | None = None
-    noise: relight.Noise | None = None
+    confidence: np.ndarray | None = None
+    noise: rejection.Noise | None = None
     if blocks is not None and history is not None and buffers.motion is not None:
         with timed(timings, "accumulate"):
-            worth, noise = relight.confidence(blocks, history.noise, buffers.motion, exposure)
-            if worth is not None and cv2.mean(worth)[0] < _RELIT:
+            confidence, noise = rejection.confidence(
+                blocks, history.noise, buffers.motion, exposure
+            )
+            if confidence is not None and cv2.mean(confidence)[0] < _RELIT:
                 exposure = own_exposure
                 _local_luminance(luminance, exposure, local, spec, strips)
     with timed_pass(timings) as part:
@@ -363,7 +365,7 @@ def prepare(
         motion=buffers.motion,
         picture_positions=positions if looks_back else None,
         fresh=fresh,
-        worth=worth,
+        history_confidence=confidence,
     )
 
 
