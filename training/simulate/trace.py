@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from stillray.training.simulate.relay import relay_radiance
+from stillray.training.simulate.shading_normal import shading_normal
 from stillray.training.simulate.stage import HULL, Stage
 
 _LANES = 1 << 22  # samples a launch: bounds the memory
@@ -141,7 +142,8 @@ def _features(stage: Stage, sampler: Any, ray: Any, guides: tuple[str, ...]) -> 
         # the hull is no surface: what is seen through it is the background
         hull = next(s for s in stage.scene.shapes() if s.id() == HULL)
         hit = hit and shape.id() != HULL if scalar else hit & (shape != mi.ShapePtr(hull))
-    seen: dict[str, Any] = {"hit": hit, "position": si.p, "normal": si.sh_frame.n}
+    normal = shading_normal(mi, stage.bent, si, hit)
+    seen: dict[str, Any] = {"hit": hit, "position": si.p, "normal": normal}
     if scalar:
         bsdf = si.bsdf() if hit else None
         seen["albedo"] = bsdf.eval_diffuse_reflectance(si) if bsdf else mi.Color3f(0)

@@ -13,6 +13,7 @@ from stillray.training.simulate.effects.medium import Medium
 from stillray.training.simulate.effects.mirror_glass import MirrorGlass
 from stillray.training.simulate.effects.motion_blur import MotionBlur
 from stillray.training.simulate.effects.moving import MovingLight, MovingObject
+from stillray.training.simulate.effects.relief import Relief
 from stillray.training.simulate.effects.soft_shadow import SoftShadow
 from stillray.training.simulate.effects.sun import SunLight
 from stillray.training.simulate.effects.texture import Texture
@@ -32,6 +33,7 @@ EFFECTS: dict[str, Effect] = {
         DepthOfField(),
         MotionBlur(),
         Medium(),
+        Relief(),  # last: it goes around whatever material the others have made
     )
 }
 
