@@ -32,15 +32,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from stillray.cli import program
 from stillray.errors import InputError
-from stillray.training.simulate.effects import EFFECTS, check_names
-from stillray.training.simulate.explain import explain as explain_plan
-from stillray.training.simulate.farm import default_workers, run_farm, run_here
-from stillray.training.simulate.generators import GENERATORS
-from stillray.training.simulate.jobs import Job
-from stillray.training.simulate.recipe import read_recipe
-from stillray.training.simulate.report import write_report
-from stillray.training.simulate.sequence import SequenceOptions, open_world
-from stillray.training.simulate.variant import load_mitsuba
+from stillray_training.simulate.effects import EFFECTS, check_names
+from stillray_training.simulate.explain import explain as explain_plan
+from stillray_training.simulate.farm import default_workers, run_farm, run_here
+from stillray_training.simulate.generators import GENERATORS
+from stillray_training.simulate.jobs import Job
+from stillray_training.simulate.recipe import read_recipe
+from stillray_training.simulate.report import write_report
+from stillray_training.simulate.sequence import SequenceOptions, open_world
+from stillray_training.simulate.variant import load_mitsuba
 
 _DEFAULT = SequenceOptions()
 _OWN = "own"  # the effects that a scene itself calls for

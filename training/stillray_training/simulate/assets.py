@@ -16,9 +16,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from stillray.errors import InputError
-from stillray.training.simulate.mesh import Mesh
-from stillray.training.simulate.node import Node, rgb
-from stillray.training.simulate.world import Credit, Surface
+from stillray_training.simulate.mesh import Mesh
+from stillray_training.simulate.node import Node, rgb
+from stillray_training.simulate.world import Credit, Surface
 
 ASSET = "asset"  # asks for the plugins of an asset's materials
 _VERTEX = ("x", "y", "z", "nx", "ny", "nz", "u", "v")

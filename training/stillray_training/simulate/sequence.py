@@ -13,16 +13,16 @@ import numpy as np
 
 from stillray.errors import InputError
 from stillray.exr import atomic_path, write_channels
-from stillray.training.simulate import buffers
-from stillray.training.simulate.assets import Library
-from stillray.training.simulate.camera import Camera, look_at
-from stillray.training.simulate.generators import GENERATORS, generate
-from stillray.training.simulate.paths import MOVES, CameraPath, camera_path, recorded_path
-from stillray.training.simulate.plan import Plan, Wants, make_plan
-from stillray.training.simulate.stage import Stage
-from stillray.training.simulate.viewpoint import find_path, require_open
-from stillray.training.simulate.world import World
-from stillray.training.simulate.xml_scene import open_xml
+from stillray_training.simulate import buffers
+from stillray_training.simulate.assets import Library
+from stillray_training.simulate.camera import Camera, look_at
+from stillray_training.simulate.generators import GENERATORS, generate
+from stillray_training.simulate.paths import MOVES, CameraPath, camera_path, recorded_path
+from stillray_training.simulate.plan import Plan, Wants, make_plan
+from stillray_training.simulate.stage import Stage
+from stillray_training.simulate.viewpoint import find_path, require_open
+from stillray_training.simulate.world import World
+from stillray_training.simulate.xml_scene import open_xml
 
 _STALE = 600.0  # seconds after which an unfinished file belongs to a run that was killed
 RECORD = "sequence.json"  # written last: a sequence without it is not finished

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from stillray.training.simulate.assets import ASSET
-from stillray.training.simulate.camera import Camera
-from stillray.training.simulate.mesh import Mesh
-from stillray.training.simulate.node import Node, to_mitsuba
-from stillray.training.simulate.plan import REFERENCE_ROULETTE, Plan
-from stillray.training.simulate.shading_normal import bent_shapes
+from stillray_training.simulate.assets import ASSET
+from stillray_training.simulate.camera import Camera
+from stillray_training.simulate.mesh import Mesh
+from stillray_training.simulate.node import Node, to_mitsuba
+from stillray_training.simulate.plan import REFERENCE_ROULETTE, Plan
+from stillray_training.simulate.shading_normal import bent_shapes
 
 HULL = "medium_hull"  # the cube that holds a medium
 _HULL_MARGIN = 0.5  # of the scene's extent, on every side

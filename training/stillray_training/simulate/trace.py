@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from stillray.training.simulate.relay import relay_radiance
-from stillray.training.simulate.shading_normal import shading_normal
-from stillray.training.simulate.stage import HULL, Stage
+from stillray_training.simulate.relay import relay_radiance
+from stillray_training.simulate.shading_normal import shading_normal
+from stillray_training.simulate.stage import HULL, Stage
 
 _LANES = 1 << 22  # samples a launch: bounds the memory
 _LOBE_SAMPLES = 8  # directions that estimate a specular albedo

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from stillray.training.simulate.camera import Camera
-from stillray.training.simulate.mesh import Mesh
-from stillray.training.simulate.node import Node
-from stillray.training.simulate.textures import Relief, Texture
+from stillray_training.simulate.camera import Camera
+from stillray_training.simulate.mesh import Mesh
+from stillray_training.simulate.node import Node
+from stillray_training.simulate.textures import Relief, Texture
 
 Color = tuple[float, float, float]
 # The pose of a rigid body: time in frames to a (4, 4) world transform relative to where it stands.

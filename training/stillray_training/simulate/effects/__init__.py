@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from stillray.errors import InputError
-from stillray.training.simulate.effects.base import Effect
-from stillray.training.simulate.effects.depth_of_field import DepthOfField
-from stillray.training.simulate.effects.environment import Environment
-from stillray.training.simulate.effects.glossy import Glossy
-from stillray.training.simulate.effects.medium import Medium
-from stillray.training.simulate.effects.mirror_glass import MirrorGlass
-from stillray.training.simulate.effects.motion_blur import MotionBlur
-from stillray.training.simulate.effects.moving import MovingLight, MovingObject
-from stillray.training.simulate.effects.relief import Relief
-from stillray.training.simulate.effects.soft_shadow import SoftShadow
-from stillray.training.simulate.effects.sun import SunLight
-from stillray.training.simulate.effects.texture import Texture
+from stillray_training.simulate.effects.base import Effect
+from stillray_training.simulate.effects.depth_of_field import DepthOfField
+from stillray_training.simulate.effects.environment import Environment
+from stillray_training.simulate.effects.glossy import Glossy
+from stillray_training.simulate.effects.medium import Medium
+from stillray_training.simulate.effects.mirror_glass import MirrorGlass
+from stillray_training.simulate.effects.motion_blur import MotionBlur
+from stillray_training.simulate.effects.moving import MovingLight, MovingObject
+from stillray_training.simulate.effects.relief import Relief
+from stillray_training.simulate.effects.soft_shadow import SoftShadow
+from stillray_training.simulate.effects.sun import SunLight
+from stillray_training.simulate.effects.texture import Texture
 
 # The order in which a plan asks them: lamps get their extent before screens get their pictures.
 EFFECTS: dict[str, Effect] = {

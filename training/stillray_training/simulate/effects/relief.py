@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from stillray.training.simulate.effects.base import Effect
-from stillray.training.simulate.effects.texture import bitmap
-from stillray.training.simulate.node import Node
-from stillray.training.simulate.world import Surface, World
+from stillray_training.simulate.effects.base import Effect
+from stillray_training.simulate.effects.texture import bitmap
+from stillray_training.simulate.node import Node
+from stillray_training.simulate.world import Surface, World
 
 
 class Relief(Effect):

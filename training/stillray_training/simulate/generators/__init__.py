@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from stillray.training.simulate.assets import Library
-from stillray.training.simulate.generators.corridor import corridor
-from stillray.training.simulate.generators.court import court
-from stillray.training.simulate.generators.desk import desk
-from stillray.training.simulate.generators.interior import interior
-from stillray.training.simulate.generators.room import room
-from stillray.training.simulate.generators.shadows import shadows
-from stillray.training.simulate.generators.tabletop import tabletop
-from stillray.training.simulate.world import World
+from stillray_training.simulate.assets import Library
+from stillray_training.simulate.generators.corridor import corridor
+from stillray_training.simulate.generators.court import court
+from stillray_training.simulate.generators.desk import desk
+from stillray_training.simulate.generators.interior import interior
+from stillray_training.simulate.generators.room import room
+from stillray_training.simulate.generators.shadows import shadows
+from stillray_training.simulate.generators.tabletop import tabletop
+from stillray_training.simulate.world import World
 
 _PROCEDURAL: dict[str, Callable[[int], World]] = {
     "room": room,

@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from stillray.training.simulate.assets import Library
-from stillray.training.simulate.generators import furniture
-from stillray.training.simulate.generators.build import lift
-from stillray.training.simulate.generators.finish import finish
-from stillray.training.simulate.generators.home import Home
-from stillray.training.simulate.generators.openings import opening, wire_chair
-from stillray.training.simulate.generators.shell import floor_and_ceiling, pierced, walls
-from stillray.training.simulate.generators.sunlit import ceiling_light, daylight
-from stillray.training.simulate.generators.things import things
-from stillray.training.simulate.mesh import box, cylinder, join, rotation
-from stillray.training.simulate.world import Surface, World
+from stillray_training.simulate.assets import Library
+from stillray_training.simulate.generators import furniture
+from stillray_training.simulate.generators.build import lift
+from stillray_training.simulate.generators.finish import finish
+from stillray_training.simulate.generators.home import Home
+from stillray_training.simulate.generators.openings import opening, wire_chair
+from stillray_training.simulate.generators.shell import floor_and_ceiling, pierced, walls
+from stillray_training.simulate.generators.sunlit import ceiling_light, daylight
+from stillray_training.simulate.generators.things import things
+from stillray_training.simulate.mesh import box, cylinder, join, rotation
+from stillray_training.simulate.world import Surface, World
 
 _HIGH = 0.74  # of the table top, metres
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from stillray.training.simulate.assets import Asset, Library
-from stillray.training.simulate.generators.build import Builder, lift
-from stillray.training.simulate.mesh import Mesh, rotation
-from stillray.training.simulate.textures import Relief, Texture
-from stillray.training.simulate.world import Color, Credit, Lamp, Piece, Surface
+from stillray_training.simulate.assets import Asset, Library
+from stillray_training.simulate.generators.build import Builder, lift
+from stillray_training.simulate.mesh import Mesh, rotation
+from stillray_training.simulate.textures import Relief, Texture
+from stillray_training.simulate.world import Color, Credit, Lamp, Piece, Surface
 
 # Reflectances of wood as photographs of rooms have them: light oak, oak, walnut, teak, stained.
 _WOODS: tuple[Color, ...] = (

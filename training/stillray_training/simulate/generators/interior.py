@@ -6,20 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from stillray.training.simulate.assets import Library
-from stillray.training.simulate.generators import furniture
-from stillray.training.simulate.generators.build import lift
-from stillray.training.simulate.generators.finish import finish
-from stillray.training.simulate.generators.home import Home
-from stillray.training.simulate.generators.openings import (
+from stillray_training.simulate.assets import Library
+from stillray_training.simulate.generators import furniture
+from stillray_training.simulate.generators.build import lift
+from stillray_training.simulate.generators.finish import finish
+from stillray_training.simulate.generators.home import Home
+from stillray_training.simulate.generators.openings import (
     fitted,
     opening,
     panelled_door,
     railing,
     wire_chair,
 )
-from stillray.training.simulate.generators.room import FURNISH, KINDS
-from stillray.training.simulate.generators.shell import (
+from stillray_training.simulate.generators.room import FURNISH, KINDS
+from stillray_training.simulate.generators.shell import (
     THICK,
     Wall,
     floor_and_ceiling,
@@ -27,9 +27,9 @@ from stillray.training.simulate.generators.shell import (
     skirting,
     walls,
 )
-from stillray.training.simulate.generators.sunlit import ceiling_light, daylight
-from stillray.training.simulate.mesh import quad, rotation
-from stillray.training.simulate.world import Surface, World
+from stillray_training.simulate.generators.sunlit import ceiling_light, daylight
+from stillray_training.simulate.mesh import quad, rotation
+from stillray_training.simulate.world import Surface, World
 
 _ODDS = (0.3, 0.14, 0.16, 0.12, 0.12, 0.06, 0.1)  # of KINDS
 Boxes = tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]

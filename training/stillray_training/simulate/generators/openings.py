@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from stillray.training.simulate.generators.build import lift
-from stillray.training.simulate.generators.home import Home
-from stillray.training.simulate.generators.shell import THICK, Hole, Wall, curtains
-from stillray.training.simulate.mesh import Mesh, box, join, quad, rotation, tube
-from stillray.training.simulate.world import Surface
+from stillray_training.simulate.generators.build import lift
+from stillray_training.simulate.generators.home import Home
+from stillray_training.simulate.generators.shell import THICK, Hole, Wall, curtains
+from stillray_training.simulate.mesh import Mesh, box, join, quad, rotation, tube
+from stillray_training.simulate.world import Surface
 
 
 def opening(b: Home, wall: Wall, hole: Hole) -> None:

@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from stillray.training.simulate.assets import Library
-from stillray.training.simulate.generators import furniture
-from stillray.training.simulate.generators.build import lift
-from stillray.training.simulate.generators.finish import finish
-from stillray.training.simulate.generators.home import Home
-from stillray.training.simulate.generators.lights import sunlight
-from stillray.training.simulate.generators.openings import railing, wire_chair
-from stillray.training.simulate.generators.sunlit import soft_box
-from stillray.training.simulate.generators.things import thing
-from stillray.training.simulate.mesh import box, quad, rotation, sphere, translation
-from stillray.training.simulate.world import Lamp, Motion, Sky, Surface, World
+from stillray_training.simulate.assets import Library
+from stillray_training.simulate.generators import furniture
+from stillray_training.simulate.generators.build import lift
+from stillray_training.simulate.generators.finish import finish
+from stillray_training.simulate.generators.home import Home
+from stillray_training.simulate.generators.lights import sunlight
+from stillray_training.simulate.generators.openings import railing, wire_chair
+from stillray_training.simulate.generators.sunlit import soft_box
+from stillray_training.simulate.generators.things import thing
+from stillray_training.simulate.mesh import box, quad, rotation, sphere, translation
+from stillray_training.simulate.world import Lamp, Motion, Sky, Surface, World
 
 _WIDE = 5.0  # of the floor each way from the origin, metres
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from stillray.training.simulate.generators import lamps
-from stillray.training.simulate.generators.build import lift
-from stillray.training.simulate.generators.home import Home
-from stillray.training.simulate.generators.lights import sunlight
-from stillray.training.simulate.generators.shell import THICK, Wall
-from stillray.training.simulate.mesh import lathe, quad, rotation, sphere, tube
-from stillray.training.simulate.world import Sky, Sun
+from stillray_training.simulate.generators import lamps
+from stillray_training.simulate.generators.build import lift
+from stillray_training.simulate.generators.home import Home
+from stillray_training.simulate.generators.lights import sunlight
+from stillray_training.simulate.generators.shell import THICK, Wall
+from stillray_training.simulate.mesh import lathe, quad, rotation, sphere, tube
+from stillray_training.simulate.world import Sky, Sun
 
 
 def daylight(b: Home, sides: list[Wall]) -> tuple[Sky | None, Sun | None, bool]:
