@@ -372,19 +372,6 @@ def test_the_command_line_loads_no_evaluation_until_it_is_asked_for():
     assert done.stdout.strip() == "[]"
 
 
-def test_runtime_never_imports_training_or_export():
-    from pathlib import Path
-
-    sources = Path(stillray.__file__).parent.rglob("*.py")
-    for source in sources:
-        text = source.read_text()
-        # the one doorway to the evaluation, which a function opens; nothing that denoises has one
-        if source.name != "tradeoff.py" or source.parent.name != "cli":
-            assert "stillray_training" not in text, source
-        assert "stillray_export" not in text, source
-        assert "import torch" not in text, source
-
-
 @pytest.mark.parametrize("model", ["wskp-3", "kpyr-5", "kpyr-5s"])
 def test_a_warm_frame_takes_no_new_memory_but_for_its_picture(model):
     frames = swing(540, 960)  # strips are much smaller
