@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from stillray.errors import InputError
-from stillray.exr import atomic_path, write_channels
+from stillray.io.exr.read_write import atomic_path, write_channels
 from stillray_training.simulate import buffers
 from stillray_training.simulate.assets import Library
 from stillray_training.simulate.camera import Camera, look_at
