@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from stillray_training.simulate.assets import Library
 from stillray_training.simulate.generators import furniture
 from stillray_training.simulate.generators.build import lift
 from stillray_training.simulate.generators.finish import finish
-from stillray_training.simulate.generators.home import Home
+from stillray_training.simulate.generators.home import Home, of_home
 from stillray_training.simulate.generators.openings import opening, wire_chair
 from stillray_training.simulate.generators.shell import floor_and_ceiling, pierced, walls
 from stillray_training.simulate.generators.sunlit import ceiling_light, daylight
@@ -53,11 +51,10 @@ def desk(seed: int, library: Library | None = None) -> World:
             spot = side.spot(b.between(0.8, side.length - 0.8), 1.5, 0.005)
             furniture.picture(b, spot, b.between(0.3, 0.9), b.between(0.3, 0.7))
     sky, sun, outside = daylight(b, sides)
-    ceiling_light(b, size, always=not outside)
+    ceiling_light(b, size, always=not outside and not any(lamp.window for lamp in b.lamps))
     x, _, z = at[:3, 3]
     low = np.maximum([x - 1.1, _HIGH + 0.12, z - 1.1], [-size[0] / 2 + 0.2, 0, -size[2] / 2 + 0.2])
     high = np.minimum([x + 0.8, 1.5, z + 1.1], [size[0] / 2 - 0.2, 9, size[2] / 2 - 0.2])
     gaze = (np.array([x - 0.3, _HIGH - 0.05, z - 0.3]), np.array([x + 0.3, _HIGH + 0.15, z + 0.3]))
     world = finish(b, "desk", daylight=outside, sky=sky, sun=sun, space=(low, high), gaze=gaze)
-    effects = tuple(name for name in world.effects if name != "medium")
-    return replace(world, effects=effects, credits=tuple(b.credits.values()))
+    return of_home(b, world, without=("medium",))

@@ -174,7 +174,7 @@ def bed(b: Builder, at: np.ndarray, width: float) -> None:
 
 def shelf(b: Builder, at: np.ndarray, width: float, height: float) -> None:
     """An open shelf full of books and things."""
-    if b.stand_in("shelf", at):
+    if b.stand_in("shelf", at, [width, height, 0.4]):
         return
     depth, thick = b.between(0.24, 0.34), b.between(0.015, 0.03)
     wood = b.wood(second=b.chance(0.3))

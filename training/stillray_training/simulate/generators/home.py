@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from stillray_training.simulate.assets import Asset, Library
+from stillray_training.simulate.effects import check_names
 from stillray_training.simulate.generators.build import Builder, lift
 from stillray_training.simulate.mesh import Mesh, rotation
 from stillray_training.simulate.textures import Relief, Texture
-from stillray_training.simulate.world import Color, Credit, Lamp, Piece, Surface
+from stillray_training.simulate.world import Color, Credit, Lamp, Piece, Surface, World
 
 # Reflectances of wood as photographs of rooms have them: light oak, oak, walnut, teak, stained.
 _WOODS: tuple[Color, ...] = (
@@ -32,10 +33,12 @@ _STAND_INS = {
     "table": ("wooden_table_02",),
     "shelf": ("bookshelf_worn", "painted_cabinet_02"),
     "cabinet": ("painted_cabinet", "painted_cabinet_02"),
-    "plant": ("tall_plant", "fern", "bush"),
+    "plant": ("tall_plant", "fern"),
 }
+_STRETCH = 1.8  # of one side of an asset against another, at most
 _ODDS = 0.55  # that an asset stands in, where there is one
-_DEEP = ("sofa", "armchair", "shelf", "cabinet")  # their back at z = 0: others are centred
+_NOT_SMALL = ("conveyor_belt",)  # clutter of halls, not of tables
+_DEEP = ("sofa", "armchair", "chair", "shelf", "cabinet")  # their back at z = 0: others are centred
 
 
 class Home(Builder):
@@ -207,21 +210,16 @@ class Home(Builder):
             return False
         names = _STAND_INS.get(kind, ())
         if kind == "thing":
-            names = tuple(self.library.kind("clutter") + self.library.kind("figure"))
-            names += ("fern", "moss", "monobloc_chair")[:2]
-        names = tuple(name for name in names if name in self.library)
+            names = (*self.library.kind("clutter"), *self.library.kind("figure"), "fern", "moss")
+        names = tuple(name for name in names if name in self.library and name not in _NOT_SMALL)
         if not names or not self.chance(_ODDS):
             return False
         asset = self.library.get(str(self.rng.choice(names)))
         scale = np.ones(3)
-        if kind == "thing" and size is not None:
-            # no more than a hand's breadths wide, whatever it is
-            scale *= min(1.0, 1.3 * size[0] / max(asset.size[0], asset.size[2]))
-        elif kind == "plant" and size is not None:
-            scale *= size[1] / asset.size[1] if asset.size[1] > size[1] else 1.0
-            scale *= min(1.0, 1.0 / max(asset.size[0], asset.size[2]))
-        elif size is not None:
-            scale = np.asarray(size) / asset.size
+        if size is not None:
+            scale = _fit(kind, asset.size, np.asarray(size, float))
+        if scale.max() > _STRETCH * scale.min():
+            return False
         out = asset.size[2] * scale[2] / 2 if kind in _DEEP else 0.0
         turn = self.between(0, 360) if kind in ("thing", "plant") else 0.0
         move = "thing" if kind == "thing" else "floor"
@@ -253,6 +251,22 @@ class Home(Builder):
         picture = replace(picture, pixels=_PIXELS)
         return Surface(color=tone, texture=picture, roughness=rough,
                        relief=self.relief(picture, self.between(0.0003, 0.001)))  # fmt: skip
+
+
+def of_home(b: Home, world: World, *, without: tuple[str, ...]) -> World:
+    """A finished world with its credits, lamps that shine from their surface, no such effects."""
+    names = {name for name in world.effects if name not in without}
+    names |= {"soft_shadow"} if world.lamps else set()
+    return replace(world, effects=check_names(names), credits=tuple(b.credits.values()))
+
+
+def _fit(kind: str, own: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Factors ``(3,)`` that bring an asset to a size: exactly, or small things at most to it."""
+    if kind == "thing":
+        return np.full(3, min(1.0, 1.3 * size[0] / max(own[0], own[2])))
+    if kind == "plant":
+        return np.full(3, min(1.0, size[1] / own[1], 1.0 / max(own[0], own[2])))
+    return np.asarray(size / own)
 
 
 def _shade(color: Color, factor: float) -> Color:

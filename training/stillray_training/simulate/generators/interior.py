@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from stillray_training.simulate.assets import Library
 from stillray_training.simulate.generators import furniture
 from stillray_training.simulate.generators.build import lift
 from stillray_training.simulate.generators.finish import finish
-from stillray_training.simulate.generators.home import Home
+from stillray_training.simulate.generators.home import Home, of_home
 from stillray_training.simulate.generators.openings import (
     fitted,
     opening,
@@ -52,11 +50,10 @@ def interior(seed: int, library: Library | None = None) -> World:
     _more_furniture(b, sides, size)
     _decorate(b, sides)
     sky, sun, outside = daylight(b, sides)
-    ceiling_light(b, size, always=not outside)
+    ceiling_light(b, size, always=not outside and not any(lamp.window for lamp in b.lamps))
     space, gaze = _framing(b, sides, size)
     world = finish(b, "interior", daylight=outside, sky=sky, sun=sun, space=space, gaze=gaze)
-    effects = tuple(name for name in world.effects if name != "medium" or b.chance(0.2))
-    return replace(world, effects=effects, credits=tuple(b.credits.values()))
+    return of_home(b, world, without=() if b.chance(0.2) else ("medium",))
 
 
 def _cut_windows(b: Home, sides: list[Wall]) -> None:
@@ -133,9 +130,15 @@ def _more_furniture(b: Home, sides: list[Wall], size: np.ndarray) -> None:
         )
     if b.library is None:
         return
-    own = [n for n in ("wheelchair", "desk_fan", "dutch_ship", "tall_plant", "cloth_folds",
-                       "modern_armchair", "painted_stool", "barn_lamp", "flight_helmet", "fern")
-           if n in b.library]  # fmt: skip
+    own = (
+        "wheelchair",
+        "desk_fan",
+        "tall_plant",
+        "cloth_folds",
+        "modern_armchair",
+        "painted_stool",
+    )
+    own = tuple(name for name in own if name in b.library)
     for _ in range(int(b.rng.integers(1, 4)) if own else 0):
         asset = b.library.get(str(b.rng.choice(own)))
         radius = float(np.hypot(asset.size[0], asset.size[2]) / 2)

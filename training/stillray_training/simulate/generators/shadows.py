@@ -7,17 +7,19 @@ from dataclasses import replace
 import numpy as np
 
 from stillray_training.simulate.assets import Library
+from stillray_training.simulate.effects import check_names
 from stillray_training.simulate.generators import furniture
 from stillray_training.simulate.generators.build import lift
 from stillray_training.simulate.generators.finish import finish
-from stillray_training.simulate.generators.home import Home
+from stillray_training.simulate.generators.home import Home, of_home
 from stillray_training.simulate.generators.lights import sunlight
 from stillray_training.simulate.generators.openings import railing, wire_chair
 from stillray_training.simulate.generators.sunlit import soft_box
 from stillray_training.simulate.generators.things import thing
 from stillray_training.simulate.mesh import box, quad, rotation, sphere, translation
-from stillray_training.simulate.world import Lamp, Motion, Sky, Surface, World
+from stillray_training.simulate.world import Motion, Sky, Surface, World
 
+KEY = "key"  # group of the light that may be carried
 _WIDE = 5.0  # of the floor each way from the origin, metres
 
 
@@ -42,7 +44,7 @@ def shadows(seed: int, library: Library | None = None) -> World:
     style = b.pick("box", "sun", "both", p=[0.5, 0.3, 0.2])
     if style != "sun":
         power = b.between(60, 250)
-        soft_box(b, b.between(-75, 75), b.between(25, 70), b.between(0.3, 1.6), power)
+        soft_box(b, b.between(-75, 75), b.between(25, 70), b.between(0.3, 1.6), power, KEY)
         if b.chance(0.35):
             soft_box(b, b.between(-75, 75), b.between(25, 70), b.between(0.8, 1.6), 0.6 * power)
     kind = b.pick("clear", "cloudy", "studio")
@@ -55,18 +57,13 @@ def shadows(seed: int, library: Library | None = None) -> World:
         space=(np.array([-2.2, 0.4, 1.6]), np.array([2.2, 2.0, 3.6])),
         gaze=(np.array([-0.6, 0.0, -0.5]), np.array([0.6, 0.6, 0.5])),
     )  # fmt: skip
-    chosen = [e for e in world.effects if e not in ("medium", "sun", "moving_light")]
-    chosen += ["sun"] if style != "box" else []
-    moving, swinging = _paths(b), _carried(b, world.lamps)
-    if swinging and b.chance(0.35):
-        chosen.append("moving_light")
-    if moving and "moving_object" not in chosen:
-        chosen.append("moving_object")
-    lamps = [replace(lamp, group="key") if i == 0 else lamp for i, lamp in enumerate(world.lamps)]
-    return replace(
-        world, lamps=lamps, moving=moving, swinging=swinging, effects=tuple(chosen),
-        credits=tuple(b.credits.values()),
-    )  # fmt: skip
+    moving, swinging = _paths(b), _carried(b)
+    left_out = ["medium", "moving_light"] + (["sun"] if style == "box" else [])
+    world = of_home(b, world, without=tuple(left_out))
+    also = {"moving_object"} | ({"moving_light"} if swinging else set())
+    also |= {"sun"} if style != "box" else set()
+    effects = check_names({*world.effects, *also})
+    return replace(world, moving=moving, swinging=swinging, effects=effects)
 
 
 def _stands(b: Home, at: np.ndarray) -> None:
@@ -130,9 +127,9 @@ def _path(centre: np.ndarray, step: np.ndarray, spin: float) -> Motion:
     return pose
 
 
-def _carried(b: Home, lamps: list[Lamp]) -> dict[str, Motion]:
-    """The first lamp carried along a line."""
-    if not lamps:
+def _carried(b: Home) -> dict[str, Motion]:
+    """In a third of the scenes that have one, the key light is carried along a line."""
+    if not any(lamp.group == KEY for lamp in b.lamps) or not b.chance(0.35):
         return {}
     step = b.rng.normal(size=3) * b.between(0.01, 0.06)
-    return {"key": lambda time: translation(step * time)}
+    return {KEY: lambda time: translation(step * time)}

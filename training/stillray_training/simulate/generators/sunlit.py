@@ -85,8 +85,10 @@ def ceiling_light(b: Home, size: np.ndarray, *, always: bool) -> None:
     b.shine(body, b.light_color(power / (np.pi * body.area())), at=at, group=group, around=True)
 
 
-def soft_box(b: Home, azimuth: float, height: float, size: float, power: float) -> None:
+def soft_box(
+    b: Home, azimuth: float, height: float, size: float, power: float, group: str = ""
+) -> None:
     """A bright square 3.5 m from the origin that faces it; azimuth and height in degrees."""
     face = quad([size / 2, -size / 2, 3.5], [-size, 0, 0], [0, size, 0])
     turn = rotation([0, 1, 0], azimuth) @ rotation([1, 0, 0], -height)
-    b.shine(face.moved(turn), b.light_color(power / (np.pi * size * size)))
+    b.shine(face.moved(turn), b.light_color(power / (np.pi * size * size)), group=group)
