@@ -21,7 +21,7 @@ def opening(b: Home, wall: Wall, hole: Hole) -> None:
     frame = [box([w / 2, y, 0], [w, edge, 0.05]) for y in (edge / 2, h - edge / 2)]
     frame += [box([x, h / 2, 0], [edge, h, 0.05]) for x in (edge / 2, w - edge / 2)]
     style = b.pick("muntins", "casement", "grille", "lattice", p=[0.45, 0.2, 0.2, 0.15])
-    b.add(join(frame + _BARS[style](b, w, h)), paint, at=at)
+    b.add(join(frame + BARS[style](b, w, h)), paint, at=at)
     b.block(
         [w / 2, -0.02, THICK * 0.75], [w + 0.1, 0.03, THICK * 0.9], b.plain(b.off_white()), at=at
     )
@@ -79,7 +79,7 @@ def _lattice(b: Home, w: float, h: float) -> list[Mesh]:
     return rods + _casement(b, w, h)
 
 
-_BARS = {"muntins": _muntins, "casement": _casement, "grille": _grille, "lattice": _lattice}
+BARS = {"muntins": _muntins, "casement": _casement, "grille": _grille, "lattice": _lattice}
 
 
 def _rod(start: list[float], end: list[float], radius: float, sides: int = 6) -> Mesh:
