@@ -14,6 +14,7 @@ import numpy as np
 
 from stillray_training.simulate.camera import Camera
 from stillray_training.simulate.relay import clamped, path_radiance, relay_radiance
+from stillray_training.simulate.shading_normal import shading_normal
 from stillray_training.simulate.stage import HULL, Stage
 
 _LANES = 1 << 22  # samples a launch: bounds the memory
@@ -178,9 +179,10 @@ def _features(stage: Stage, sampler: Any, ray: Any, shot: Shot) -> dict[str, Any
         # the hull is no surface: what is seen through it is the background
         hull = next(s for s in stage.scene.shapes() if s.id() == HULL)
         hit = hit and shape.id() != HULL if scalar else hit & (shape != mi.ShapePtr(hull))
+    normal = shading_normal(mi, stage.bent, si, hit)
     seen: dict[str, Any] = {
         "hit": float(hit) if scalar else dr.select(hit, mi.Float(1), 0),
-        "normal": _choose(hit, si.sh_frame.n, mi.Normal3f(0)),
+        "normal": _choose(hit, normal, mi.Normal3f(0)),
     }
     if scalar:
         bsdf = si.bsdf() if hit else None
