@@ -146,9 +146,10 @@ def _camera_ray(
     width, height = (int(v) for v in np.array(sensor.film().size()))
     row = number // width
     inside = sampler.next_2d()
+    shift = _vector(mi, np.array([*jitter, 0.0]))
     place = mi.Point2f(
-        (mi.Float(number - row * width) + inside[0] + mi.Float(jitter[0])) / width,
-        (mi.Float(row) + inside[1] + mi.Float(jitter[1])) / height,
+        (mi.Float(number - row * width) + inside[0] + shift[0]) / width,
+        (mi.Float(row) + inside[1] + shift[1]) / height,
     )
     lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5, 0.5)
     ray, weight = sensor.sample_ray(0.0, 0.5, place, lens)
@@ -224,20 +225,31 @@ def _motion(stage: Stage, shot: Shot, ray: Any, si: Any, hit: Any) -> dict[str, 
     own, old = shot.camera, shot.previous
     here, there = _project(mi, own, place, size), _project(mi, old, earlier, size)
     # what is far away stands where its direction points, whatever the camera's place
-    far, was = (_project(mi, c, mi.Vector3f(ray.d) + _vector(mi, c), size) for c in (own, old))
+    far, was = (_at_infinity(mi, c, ray, size) for c in (own, old))
     x, y = (_choose(hit, there[k] - here[k], was[k] - far[k]) for k in range(2))
     return {"depth": _choose(hit, here[2], mi.Float(0)), "motion": mi.Vector2f(x, y)}
 
 
+def _at_infinity(mi: Any, camera: Camera, ray: Any, size: tuple[int, int]) -> tuple[Any, Any, Any]:
+    place = mi.Vector3f(ray.d) + _vector(mi, camera.to_world[:3, 3])
+    return _project(mi, camera, place, size)
+
+
 def _moved(mi: Any, matrix: np.ndarray, place: Any) -> Any:
-    rows = [mi.Vector3f(*(float(v) for v in row[:3])) for row in matrix[:3]]
     import drjit as dr
 
-    return mi.Vector3f(*(dr.dot(row, place) + float(matrix[k, 3]) for k, row in enumerate(rows)))
+    rows = [_vector(mi, row[:3]) for row in matrix[:3]]
+    shift = _vector(mi, matrix[:3, 3])
+    return mi.Vector3f(*(dr.dot(row, place) for row in rows)) + shift
 
 
-def _vector(mi: Any, camera: Camera) -> Any:
-    return mi.Vector3f(*(float(v) for v in camera.to_world[:3, 3]))
+def _vector(mi: Any, values: np.ndarray) -> Any:
+    """Three numbers as data: as constants they would compile another kernel for every frame."""
+    if "scalar" in mi.variant():
+        return mi.Vector3f(*map(float, values))
+    import drjit as dr
+
+    return mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in values))
 
 
 def _project(mi: Any, camera: Camera, place: Any, size: tuple[int, int]) -> tuple[Any, Any, Any]:
@@ -245,10 +257,11 @@ def _project(mi: Any, camera: Camera, place: Any, size: tuple[int, int]) -> tupl
     import drjit as dr
 
     height, width = size
-    away = place - _vector(mi, camera)
-    axes = [mi.Vector3f(*(float(v) for v in axis)) for axis in camera.to_world[:3, :3].T]
-    left, up, z = (dr.dot(away, axis) for axis in axes)
+    away = place - _vector(mi, camera.to_world[:3, 3])
+    left, up, z = (dr.dot(away, _vector(mi, axis)) for axis in camera.to_world[:3, :3].T)
     focal = float(0.5 * width / np.tan(np.radians(camera.fov_x) / 2))
+    if "scalar" not in mi.variant():
+        focal = dr.opaque(mi.Float, focal)
     safe = _choose(dr.abs(z) > 1e-9, z, mi.Float(1e-9))
     return 0.5 * width - focal * left / safe, 0.5 * height - focal * up / safe, z
 
