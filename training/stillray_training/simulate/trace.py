@@ -62,9 +62,8 @@ def first_hits(stage: Stage, shot: Shot, pixels: np.ndarray, seed: int, each: in
         import drjit as dr
 
         sampler.seed(seed, len(pixels) * each)
-        number = stage.mi.UInt32(pixels.astype(np.uint32))
-        if each > 1:
-            number = dr.repeat(number, each)
+        # repeated here: in the kernel it would be another one for every number of samples
+        number = stage.mi.UInt32(np.repeat(pixels.astype(np.uint32), each))
         seen = _sample(stage, shot, sampler, number)
         dr.eval(seen)  # before the sums: each would trace all of it again
         return {name: _planar(value, each) for name, value in seen.items()}
