@@ -55,17 +55,21 @@ pixel of kpyr-5 to 1e28 times itself (now 5), and four frames later to 1e21 time
 Processor time of one thread at 1280x720, old and new in turn in one process, on a loaded machine
 (difference of the shortest of 60 runs; 16 for normals): weights and accumulation 19.5 ms before,
 +1.3 ms; +4.7 ms if every strip of the frame has a firefly to darken and there is no albedo. Normals
-of any length: 8.8 ms before, +1.4 ms; +6.8 ms where they are not unit. Changes of light: +0.95 ms.
+of any length: 8.8 ms before, +1.4 ms; +6.8 ms where they are not unit.
 
-## What lets go of light that changed
+## What lets go of a past whose light has changed
 
-The light of a frame's samples is compared with that of the last frames' by blocks of 16x16 pixels
-(`stillray.stages.history_rejection`). Where all of 5x5 blocks are darker, or all brighter, and by
-0.4 stops or more, the past is worth less, from 0.8 stops on nothing. Before, a light that was
-switched on took 33 frames to show, one that was switched off 72 to 80, and the exposure as many.
-Changes by less than half a stop still fade in over 20 to 30 frames. Of 1,618 frames, those of
-`train.toml` and the validation scenes, 5 lost some past to noise, 1.1 % of the picture at most:
-`python -m stillray_training.light_changes FOLDER...` lists them.
+The past of a pixel, as it was brought there, is compared with this frame's sample
+(`history_rejection`). A pixel's difference d counts with a = w n / (n + 1), where w is what the
+sample weighs and n the samples of the past: the past is a mean by the same weights, so that the
+mean of w d is 0 if nothing changed, however long the tail of the noise. Over windows of 2x2
+pixels and of 3x3 blocks of 2, 4, 8, 16 and 32, D = sum(a d) / sum(a) has the standard error s² =
+v (1 / sum(a) + 1 / 1500), where v, the variance of a sample, is the larger of the window's, by
+the covariance of d and x within 2x2 pixels, and of a mean over 8 frames and 48 pixels, in which
+rare bright samples show. The bias b of the past is found from coarse to fine: b <- b + r (1 - (k
+s / r)²)+, r = D - b, with k of 6.0 (2x2 pixels) to 4.0; 1 % of the light counts as no change. The
+past keeps 1 / (1 + 100 n b² / v) of its samples, and its picture, for models that look at their
+last output, as much of its validity, and none below a half.
 
 """
 

@@ -187,4 +187,71 @@ def moving_shadow(denoiser: stillray.Denoiser) -> float:
     return float(np.mean(errors))
 
 
+_TALL, _WIDE = 48, 96  # pixels: a shadow of 24 and what it has left
+_SPEEDS = (2, 4, 8, 16)  # pixels a frame
+
+
+def _past_beside_none(denoiser: stillray.Denoiser, samples: int, inside: float) -> float:
+    """Error with the past over that of each frame alone, at the worst of the speeds.
+
+    Light of ``inside`` times what is around, with an edge of 4 pixels, passes over a wall that
+    stays; frames have the noise of ``samples`` samples a pixel.
+    """
+    column, worst = np.arange(_WIDE), 0.0
+    normal = np.broadcast_to(np.float32([0, 0, 1]), (_TALL, _WIDE, 3))
+    for speed in _SPEEDS:
+        rng, frames, wanted = np.random.default_rng(speed), [], []
+        for index in range(12):
+            centre = 20 + speed * max(index - 4, 0)
+            share = np.clip((14 - np.abs((column - centre + 14) % _WIDE - 14)) / 4, 0, 1)
+            light = np.broadcast_to((1 + (inside - 1) * share)[None, :, None], (_TALL, _WIDE, 3))
+            noise = rng.gamma(samples, 1 / samples, (_TALL, _WIDE, 1))
+            frames.append(
+                Frame(
+                    color=0.5 * light * noise,
+                    albedo=np.full((_TALL, _WIDE, 3), 0.5),
+                    normal=normal,
+                    depth=np.full((_TALL, _WIDE), 4.0),
+                    motion=np.zeros((_TALL, _WIDE, 2)),
+                )
+            )
+            wanted.append(0.5 * light)
+        held = run(denoiser, frames)
+        alone = [run(denoiser, [frame])[0] for frame in frames]
+        errors = [
+            np.sqrt(np.mean((np.array(images[4:]) - np.array(wanted[4:])) ** 2))
+            for images in (held, alone)
+        ]
+        worst = max(worst, float(errors[0] / errors[1]))
+    return worst
+
+
+_WITH_AND_WITHOUT = "error with the past / of each frame alone, 8 frames, worst of the speeds"
+
+
+@case("a shadow of 0.3 moves 2 to 16 pixels a frame, 2 samples", _WITH_AND_WITHOUT, 1.1)
+def shadow_moves_in_noise(denoiser: stillray.Denoiser) -> float:
+    return _past_beside_none(denoiser, 2, 0.3)
+
+
+@case("the same, 16 samples", _WITH_AND_WITHOUT, 1.1)
+def shadow_moves_in_little_noise(denoiser: stillray.Denoiser) -> float:
+    return _past_beside_none(denoiser, 16, 0.3)
+
+
+@case("the same, 256 samples", _WITH_AND_WITHOUT, 1.1)
+def shadow_moves_in_quiet_frames(denoiser: stillray.Denoiser) -> float:
+    return _past_beside_none(denoiser, 256, 0.3)
+
+
+@case("half a shadow, of 0.75, 16 samples", _WITH_AND_WITHOUT, 1.1)
+def half_shadow_moves(denoiser: stillray.Denoiser) -> float:
+    return _past_beside_none(denoiser, 16, 0.75)
+
+
+@case("a reflection of 4 times the light, 16 samples", _WITH_AND_WITHOUT, 1.1)
+def reflection_moves(denoiser: stillray.Denoiser) -> float:
+    return _past_beside_none(denoiser, 16, 4.0)
+
+
 CASES: list[Case] = [value for value in list(globals().values()) if isinstance(value, Case)]

@@ -256,6 +256,30 @@ def test_an_empty_data_folder_is_refused(small, tmp_path):
         train.train(small, [tmp_path], tmp_path / "out")
 
 
+def credited(folder, name, licence):
+    asset = {"name": name, "title": "A Chair", "author": "A. Nyone", "licence": licence,
+             "source": "https://example.org/chair"}  # fmt: skip
+    folder.mkdir()
+    (folder / "sequence.json").write_text(json.dumps({"assets": [asset]}))
+    return folder
+
+
+def test_provenance_credits_the_assets_in_the_data(small, tmp_path):
+    sequences = [credited(tmp_path / "interior-0000-0", "chair", "CC BY 4.0"), tmp_path / "old-0-0"]
+    (tmp_path / "data.json").write_text(json.dumps(["interior-0000-0"]))
+    (tmp_path / provenance.ASSETS).write_text(json.dumps(provenance.assets_of(sequences)))
+    (tmp_path / "log.csv").write_text("step,loss\n1,0.5\n")
+    credits = provenance.collect(tmp_path, small, 40)["credits"]
+    assert credits["chair"] == '"A Chair" by A. Nyone (https://example.org/chair), CC BY 4.0'
+    assert "interior.py" in credits["interior"]
+
+
+@pytest.mark.parametrize("licence", ["CC BY-NC 4.0", "CC BY-SA 4.0", "proprietary"])
+def test_assets_under_other_licences_train_no_model(tmp_path, licence):
+    with pytest.raises(InputError, match="under CC0 or CC BY, got chair"):
+        provenance.assets_of([credited(tmp_path / "interior-0000-0", "chair", licence)])
+
+
 def test_provenance_counts_scenes_and_credits_them(small, tmp_path):
     (tmp_path / "data.json").write_text(json.dumps(["room-0000-0", "room-0001-2", "tire-0000-0"]))
     (tmp_path / "log.csv").write_text("step,loss,seconds\n20,0.5,1\n40,0.3,2\n")

@@ -49,6 +49,7 @@ from stillray_training.losses import (
     smape,
     unsteadiness,
 )
+from stillray_training.provenance import ASSETS, assets_of
 from stillray_training.start import STARTED_FROM, start_from
 
 CHECKPOINT = "checkpoint.safetensors"
@@ -168,6 +169,7 @@ def train(
         examples = list(examples) or load_all(data, spec, progress)
         _forget_after(out / LOG, step)
         (out / "data.json").write_text(json.dumps([path.name for path in sequences], indent=1))
+        (out / ASSETS).write_text(json.dumps(assets_of(list(sequences)), indent=1))
         recipe = spec.training
         resumed = recipe.history_from and step > recipe.history_from
         if resumed and (step - recipe.history_from) % recipe.history_every:

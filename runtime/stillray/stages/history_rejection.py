@@ -79,7 +79,7 @@ def compare(
     light : (h, w) float32
         Luminance of irradiance of some rows, from an even one on.
     weight : (h, w) float32
-        See `stillray.stages.accumulate.sample_weight`.
+        See `stillray.stages.accumulate.sample_weight`; 0 where a sample says nothing.
     past : (4, h, w) float32
         Reprojected irradiance and samples.
     exposure
@@ -113,6 +113,8 @@ def compare(
     np.divide(samples, temporary, out=counted)
     np.maximum(weight, MIN_WEIGHT, out=temporary)
     counted *= temporary
+    if weight.min() <= 0:
+        counted[weight <= 0] = 0
     size = (even[1] // 2, even[0] // 2)
 
     def reduced(plane: np.ndarray, target: np.ndarray | None = None) -> np.ndarray:

@@ -174,8 +174,8 @@ def _vertex(stage: Stage, state: dict[str, Any], first_roulette: int, bound: Any
     longest = int(stage.plan.integrator.params["max_depth"])
     throughput, smooth = state["throughput"], state["smooth"]
     flags = mi.RayFlags.UV | mi.RayFlags.ShadingFrame
-    if stage.plan.world.file:
-        flags = mi.RayFlags.All  # files may have bumps, and lobes longer than wide
+    if stage.plan.world.file or stage.bent:
+        flags = mi.RayFlags.All  # bumps, and lobes longer than wide, which files may have
     si = scene.ray_intersect(state["ray"], flags, mi.Bool(False), mi.Bool(True))
     # a light that was hit, which could have been drawn from the vertex before too
     before = dr.zeros(mi.Interaction3f)

@@ -16,6 +16,7 @@ from stillray.compare.display import DISPLAY_MEDIAN
 from stillray.errors import InputError
 from stillray.io.exr.read_write import atomic_path, write_channels
 from stillray_training.simulate import buffers
+from stillray_training.simulate.assets import Library
 from stillray_training.simulate.camera import Camera, look_at
 from stillray_training.simulate.generators import GENERATORS, generate
 from stillray_training.simulate.paths import MOVES, CameraPath, camera_path, recorded_path
@@ -69,6 +70,7 @@ class SequenceOptions:
     target: tuple[float, float, float] | None = None  # what the camera at origin looks at
     fov: float = 60.0  # horizontal field of view of the camera at origin, degrees, 1 to 170
     cameras: str | None = None  # JSON file of a camera a frame, see `paths.recorded_path`
+    assets: str | None = None  # folder of objects that some generators place, see `assets`
     seed: int = 0  # 0 or more
 
     def __post_init__(self) -> None:
@@ -111,8 +113,10 @@ class SequenceOptions:
         )
 
 
-def open_world(mi: Any, name: str, seed: int) -> World:
+def open_world(mi: Any, name: str, seed: int, assets: str | None = None) -> World:
     """A scene by name: one of the generators, or the path of a Mitsuba XML file.
+
+    ``assets`` is a folder of objects for generators that place some; None: they build their own.
 
     Raises
     ------
@@ -120,7 +124,7 @@ def open_world(mi: Any, name: str, seed: int) -> World:
         There is no such generator or file, or Mitsuba cannot read it.
     """
     if name in GENERATORS:
-        return generate(name, seed)
+        return generate(name, seed, Library(Path(assets)) if assets else None)
     path = Path(name)
     if not path.is_file():
         known = ", ".join(GENERATORS)
@@ -132,7 +136,7 @@ def plan_scene(
     mi: Any, name: str, seed: int, effects: Iterable[str] | None, options: SequenceOptions
 ) -> Plan:
     """Open a scene and decide what is simulated in it; see `make_plan`."""
-    return make_plan(open_world(mi, name, seed), effects, options.wants())
+    return make_plan(open_world(mi, name, seed, options.assets), effects, options.wants())
 
 
 def is_complete(folder: Path) -> bool:
@@ -196,6 +200,7 @@ def render_sequence(
         "integrator": {"plugin": stage.plan.integrator.plugin, **stage.plan.integrator.params},
         "move": move,
         "moving": stage.groups,
+        "assets": [asdict(credit) for credit in stage.plan.world.credits],
         "shutter": stage.plan.shutter,
         "clamp": clamp,
         "options": asdict(options),

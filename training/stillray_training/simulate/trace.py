@@ -14,6 +14,7 @@ import numpy as np
 
 from stillray_training.simulate.camera import Camera
 from stillray_training.simulate.relay import clamped, path_radiance, relay_radiance
+from stillray_training.simulate.shading_normal import shading_normal
 from stillray_training.simulate.stage import HULL, Stage
 
 _LANES = 1 << 22  # samples a launch: bounds the memory
@@ -61,9 +62,8 @@ def first_hits(stage: Stage, shot: Shot, pixels: np.ndarray, seed: int, each: in
         import drjit as dr
 
         sampler.seed(seed, len(pixels) * each)
-        number = stage.mi.UInt32(pixels.astype(np.uint32))
-        if each > 1:
-            number = dr.repeat(number, each)
+        # repeated here: in the kernel it would be another one for every number of samples
+        number = stage.mi.UInt32(np.repeat(pixels.astype(np.uint32), each))
         seen = _sample(stage, shot, sampler, number)
         dr.eval(seen)  # before the sums: each would trace all of it again
         return {name: _planar(value, each) for name, value in seen.items()}
@@ -145,9 +145,10 @@ def _camera_ray(
     width, height = (int(v) for v in np.array(sensor.film().size()))
     row = number // width
     inside = sampler.next_2d()
+    shift = _vector(mi, np.array([*jitter, 0.0]))
     place = mi.Point2f(
-        (mi.Float(number - row * width) + inside[0] + mi.Float(jitter[0])) / width,
-        (mi.Float(row) + inside[1] + mi.Float(jitter[1])) / height,
+        (mi.Float(number - row * width) + inside[0] + shift[0]) / width,
+        (mi.Float(row) + inside[1] + shift[1]) / height,
     )
     lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5, 0.5)
     ray, weight = sensor.sample_ray(0.0, 0.5, place, lens)
@@ -178,9 +179,10 @@ def _features(stage: Stage, sampler: Any, ray: Any, shot: Shot) -> dict[str, Any
         # the hull is no surface: what is seen through it is the background
         hull = next(s for s in stage.scene.shapes() if s.id() == HULL)
         hit = hit and shape.id() != HULL if scalar else hit & (shape != mi.ShapePtr(hull))
+    normal = shading_normal(mi, stage.bent, si, hit)
     seen: dict[str, Any] = {
         "hit": float(hit) if scalar else dr.select(hit, mi.Float(1), 0),
-        "normal": _choose(hit, si.sh_frame.n, mi.Normal3f(0)),
+        "normal": _choose(hit, normal, mi.Normal3f(0)),
     }
     if scalar:
         bsdf = si.bsdf() if hit else None
@@ -222,20 +224,31 @@ def _motion(stage: Stage, shot: Shot, ray: Any, si: Any, hit: Any) -> dict[str, 
     own, old = shot.camera, shot.previous
     here, there = _project(mi, own, place, size), _project(mi, old, earlier, size)
     # what is far away stands where its direction points, whatever the camera's place
-    far, was = (_project(mi, c, mi.Vector3f(ray.d) + _vector(mi, c), size) for c in (own, old))
+    far, was = (_at_infinity(mi, c, ray, size) for c in (own, old))
     x, y = (_choose(hit, there[k] - here[k], was[k] - far[k]) for k in range(2))
     return {"depth": _choose(hit, here[2], mi.Float(0)), "motion": mi.Vector2f(x, y)}
 
 
+def _at_infinity(mi: Any, camera: Camera, ray: Any, size: tuple[int, int]) -> tuple[Any, Any, Any]:
+    place = mi.Vector3f(ray.d) + _vector(mi, camera.to_world[:3, 3])
+    return _project(mi, camera, place, size)
+
+
 def _moved(mi: Any, matrix: np.ndarray, place: Any) -> Any:
-    rows = [mi.Vector3f(*(float(v) for v in row[:3])) for row in matrix[:3]]
     import drjit as dr
 
-    return mi.Vector3f(*(dr.dot(row, place) + float(matrix[k, 3]) for k, row in enumerate(rows)))
+    rows = [_vector(mi, row[:3]) for row in matrix[:3]]
+    shift = _vector(mi, matrix[:3, 3])
+    return mi.Vector3f(*(dr.dot(row, place) for row in rows)) + shift
 
 
-def _vector(mi: Any, camera: Camera) -> Any:
-    return mi.Vector3f(*(float(v) for v in camera.to_world[:3, 3]))
+def _vector(mi: Any, values: np.ndarray) -> Any:
+    """Three numbers as data: as constants they would compile another kernel for every frame."""
+    if "scalar" in mi.variant():
+        return mi.Vector3f(*map(float, values))
+    import drjit as dr
+
+    return mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in values))
 
 
 def _project(mi: Any, camera: Camera, place: Any, size: tuple[int, int]) -> tuple[Any, Any, Any]:
@@ -243,10 +256,11 @@ def _project(mi: Any, camera: Camera, place: Any, size: tuple[int, int]) -> tupl
     import drjit as dr
 
     height, width = size
-    away = place - _vector(mi, camera)
-    axes = [mi.Vector3f(*(float(v) for v in axis)) for axis in camera.to_world[:3, :3].T]
-    left, up, z = (dr.dot(away, axis) for axis in axes)
+    away = place - _vector(mi, camera.to_world[:3, 3])
+    left, up, z = (dr.dot(away, _vector(mi, axis)) for axis in camera.to_world[:3, :3].T)
     focal = float(0.5 * width / np.tan(np.radians(camera.fov_x) / 2))
+    if "scalar" not in mi.variant():
+        focal = dr.opaque(mi.Float, focal)
     safe = _choose(dr.abs(z) > 1e-9, z, mi.Float(1e-9))
     return 0.5 * width - focal * left / safe, 0.5 * height - focal * up / safe, z
 
