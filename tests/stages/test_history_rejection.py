@@ -46,7 +46,7 @@ def followed(lights, threads=1):
     """The confidence in the past at each frame but the first, and the light held last."""
     strips, history, kept = Strips(threads), None, []
     for light in lights:
-        prepared = prepare(grey(light), SPEC, history, strips, {})
+        prepared = prepare(grey(light), SPEC, history, strips)
         if history is not None:
             confidence = prepared.history_confidence
             kept.append(np.ones(SIZE, np.float32) if confidence is None else confidence)
@@ -119,7 +119,7 @@ def test_a_moving_shadow_leaves_no_more_error_than_a_frame_alone(rng):
         shadow = np.where((column >= left) & (column < left + 40), 0.3, 1.0)
         light = np.ones(SIZE) * shadow
         frame = frames_of(light, rng, 8).astype(np.float32)
-        prepared = prepare(grey(frame), SPEC, history, strips, {})
+        prepared = prepare(grey(frame), SPEC, history, strips)
         history = prepared.history
         if index >= 4:
             trail = (column >= left - 32) & (column < left)
@@ -148,8 +148,8 @@ def test_what_was_outside_of_the_last_frame_has_not_changed(rng):
     dark, bright = (np.full((*SIZE, 3), value, np.float32) for value in (0.1, 10.0))
     motion = np.full((*SIZE, 2), 1e6, np.float32)
     strips = Strips(1)
-    first = prepare(stillray.Frame(color=dark, motion=motion), SPEC, None, strips, {})
-    second = prepare(stillray.Frame(color=bright, motion=motion), SPEC, first.history, strips, {})
+    first = prepare(stillray.Frame(color=dark, motion=motion), SPEC, None, strips)
+    second = prepare(stillray.Frame(color=bright, motion=motion), SPEC, first.history, strips)
     assert second.history_confidence is None
 
 

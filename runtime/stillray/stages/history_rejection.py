@@ -36,7 +36,6 @@ _MOST_SAMPLES = np.float32(1500)
 _FILTERED = np.float32(100)
 _LEAST_WEIGHT = np.float32(1e-3)  # of a window's pixels, below which it says nothing
 _BRIGHTEST = np.float32(1e9)  # exposed: its square, summed, stays in range
-_TINY = np.float32(1e-30)  # keeps 0/0 out
 _BESSEL = np.float32(4 / 3)  # of variances within four pixels
 
 
@@ -222,7 +221,7 @@ class _Window:
 
     def systematic(self) -> np.ndarray:
         """Differences that are no change of light."""
-        error = np.abs(self.difference) * np.float32(0.5)
+        error: np.ndarray = np.abs(self.difference) * np.float32(0.5)
         error += self.light
         error += np.float32(DARK)
         error *= _SYSTEMATIC
@@ -287,15 +286,14 @@ def _corrected(
     bias: np.ndarray, window: _Window, usual: np.ndarray, threshold: float
 ) -> np.ndarray:
     """The bias that coarser windows found, corrected by what finer ones say."""
-    error = np.maximum(window.variance, usual)
+    error: np.ndarray = np.maximum(window.variance, usual)
     error *= 1 / np.maximum(window.samples, _LEAST_WEIGHT) + 1 / _MOST_SAMPLES
     error *= np.float32(threshold**2)
     error += np.square(window.systematic())
-    rest = window.difference - bias
+    rest: np.ndarray = window.difference - bias
     square = np.square(rest)
-    error /= np.maximum(square, _TINY, out=square)
-    np.subtract(1, error, out=error)
-    rest *= np.maximum(error, 0, out=error)
+    error /= np.maximum(square, error, out=square)  # never 0: some light is systematic
+    rest *= np.subtract(1, error, out=error)
     rest += bias
     return rest
 
@@ -303,10 +301,10 @@ def _corrected(
 def _kept(bias: np.ndarray, window: _Window, held: np.ndarray) -> np.ndarray:
     """What a bias leaves of the past's samples, by blocks of 2x2 pixels."""
     samples = held / np.maximum(1 - held, _LEAST_WEIGHT)  # of n / (n + 1)
-    noise = window.variance + np.square(window.systematic())
-    lost = np.square(bias)
+    variance = window.variance + np.square(window.systematic())
+    lost: np.ndarray = np.square(bias)
     lost *= samples
     lost *= _FILTERED
-    lost /= np.maximum(noise, _TINY)
+    lost /= variance
     lost += 1
     return np.reciprocal(lost, out=lost)

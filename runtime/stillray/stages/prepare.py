@@ -160,7 +160,8 @@ class _Pixels:
         self.looks_back = wants.previous_output or plan.runs("antialias")
         self.confidence: np.ndarray | None = None
         self.noise: history_rejection.Noise | None = None
-        self._blocks = self._reprojected = None
+        self._blocks: np.ndarray | None = None
+        self._reprojected: np.ndarray | None = None
         if moved is not None:
             halves = [-(-size // 2) for size in shape]
             self._blocks = workspace.array("blocks", (history_rejection.PLANES, *halves))
