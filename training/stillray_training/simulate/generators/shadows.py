@@ -35,8 +35,8 @@ def shadows(seed: int, library: Library | None = None) -> World:
     if b.chance(0.4):
         side = b.between(1.5, 2.5)
         b.add(quad([-side, 0, _WIDE], [0, 0, -2 * _WIDE], [0, 3.2, 0]), back)
-    for _ in range(int(b.rng.integers(2, 6))):
-        spot = b.place([-1.3, -0.7 * depth], [1.3, 1.2], 0.35)
+    for _ in range(int(b.rng.integers(3, 7))):
+        spot = b.place([-1.0, -0.6 * depth], [1.0, 0.8], 0.3)
         if spot is not None:
             _stands(b, lift(spot[0], 0, spot[1]) @ rotation([0, 1, 0], b.between(0, 360)))
     if b.chance(0.25):
@@ -48,9 +48,9 @@ def shadows(seed: int, library: Library | None = None) -> World:
         if b.chance(0.35):
             soft_box(b, b.between(-75, 75), b.between(25, 70), b.between(0.8, 1.6), 0.6 * power)
     kind = b.pick("clear", "cloudy", "studio")
-    sky = Sky(kind=kind, seed=int(b.rng.integers(2**31)), radiance=b.between(0.4, 2.5))
+    sky = Sky(kind=kind, seed=int(b.rng.integers(2**31)), radiance=b.between(0.1, 0.9))
     sun = sunlight(b, np.array([b.rng.normal(), 0, 1.0]), spread=50)
-    ratio = sky.radiance * b.between(3, 10) / float(np.mean(sun.irradiance))
+    ratio = sky.radiance * b.between(6, 22) / float(np.mean(sun.irradiance))
     sun = replace(sun, irradiance=tuple(ratio * v for v in sun.irradiance))  # type: ignore[arg-type]
     world = finish(
         b, "shadows", daylight=True, sky=sky, sun=sun,
