@@ -21,7 +21,7 @@ from stillray.models.registry import find_model, tuned
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training import tradeoff
 from stillray_training.pareto import Priced, advice, pareto_front
-from tests.conftest import make_frame
+from tests.conftest import make_frame, remembered
 
 COMMAND = sys.modules["stillray.cli.tradeoff"]  # the package names the function
 METRIC = {metric.name: metric for metric in metrics.METRICS}
@@ -108,8 +108,7 @@ def test_a_short_history_forgets():
         with Denoiser(tuned(info, max_samples=samples)) as denoiser:
             for index in range(8):
                 denoiser.denoise(make_frame(33, 18, index))
-            assert denoiser.history is not None
-            held = denoiser.history.mean[..., 3].max()
+            held = remembered(denoiser).mean[..., 3].max()
         # samples are worth up to 1 each
         assert held <= samples + 1
         assert samples == 1 or held > 3

@@ -18,13 +18,16 @@ import cv2
 import numpy as np
 
 from stillray.arrays.strips import Strips, interleave
+from stillray.families.contract import Context, Request
+from stillray.families.registry import kernels_of
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr
 from stillray.model_spec import ModelSpec
 from stillray.pipeline.denoiser import Denoiser
 from stillray.stages import features as encode
-from stillray.stages.prepare import History, Prepared, prepare
-from stillray.stages.previous_output import recalled
+from stillray.stages.decide import Wants
+from stillray.stages.prepare import prepare
+from stillray.stages.state import History, Prepared
 from stillray_training.blocks import mean_frame, read_blocks
 from stillray_training.quiet import add_fireflies, quiet_frame
 from stillray_training.simulate.sequence import is_complete
@@ -177,7 +180,7 @@ def _with_blurred_past(example: Example, rng: np.random.Generator) -> Example:
 def _example(run: list[Frame], reference: np.ndarray, spec: ModelSpec, strips: Strips) -> Example:
     history: History | None = None
     for frame in run:
-        prepared = prepare(frame, spec, history, strips, {}, wants_sample=True)
+        prepared = prepare(frame, spec, history, strips, Wants(sample=True))
         history = prepared.history
     assert history is not None
     assert prepared.divisor is not None
@@ -218,20 +221,14 @@ def previous_outputs(sequence: Path, model: Path, strips: Strips) -> dict[int, n
     frames = [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
     remembered = {}
     with Denoiser(model, threads=1) as denoiser:
+        family = kernels_of(denoiser.model.spec)
         for count in STARTS[1:]:  # one frame has no past
             denoiser.reset()
             for frame in frames[-count:-1]:
                 denoiser.denoise(frame)
-            prepared = prepare(
-                frames[-1],
-                denoiser.model.spec,
-                denoiser.history,
-                strips,
-                {},
-                wants_sample=True,
-                recalls=True,
-            )
-            previous = recalled(denoiser.history, prepared, denoiser.model.spec, strips, {})
+            context = Context(strips=strips)
+            plan = family.plan(frames[-1], denoiser.state, Request(), context)
+            _, previous = family.prepare(plan, context)
             if previous is not None:
                 remembered[count] = previous
     return remembered

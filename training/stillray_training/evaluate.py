@@ -31,7 +31,8 @@ from stillray.frame import Frame
 from stillray.io.exr.read_write import atomic_path, read_exr
 from stillray.models.registry import find_model, list_models
 from stillray.pipeline.denoiser import Denoiser
-from stillray.stages.prepare import History, prepare
+from stillray.stages.prepare import prepare
+from stillray.stages.state import History
 from stillray_training.peers import PEERS, Peer, PeerDenoiser, find_peer
 
 # what models are to be better than, in every metric
@@ -162,7 +163,7 @@ def accumulate_frames(frames: list[Frame], model: str) -> list[np.ndarray]:
     history: History | None = None
     images = []
     for frame in frames:
-        prepared = prepare(frame, spec, history, Strips(1), {})
+        prepared = prepare(frame, spec, history, Strips(1))
         history = prepared.history
         mean = history.mean[..., :3]
         images.append(mean if prepared.divisor is None else mean * prepared.divisor)
