@@ -17,13 +17,10 @@ test: $(FULL)/.ready
 check: $(FULL)/.ready
 	$(FULL)/bin/ruff check .
 	$(FULL)/bin/ruff format --check .
-	@# type checkers cannot follow the package mapping: they read what a user would install
-	rm -rf build
-	$(FULL)/bin/python -m pip install -q --no-deps --target build/typed .
-	MYPYPATH=build/typed $(FULL)/bin/mypy -p stillray
+	$(FULL)/bin/mypy -p stillray -p stillray_training -p stillray_export
 
 benchmark: $(FULL)/.ready
-	$(FULL)/bin/python -m stillray.training.benchmark --report docs/performance.md
+	$(FULL)/bin/python -m stillray_training.benchmark --report docs/performance.md
 
 $(RUNTIME)/.ready: pyproject.toml
 	@echo "installing the runtime (numpy, onnxruntime, OpenCV, OpenImageIO; no torch) into $(RUNTIME)"

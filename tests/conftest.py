@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stillray.frame import Frame
-from stillray.models_spec import ModelSpec, load
+from stillray.model_spec import ModelSpec, load
+
+# processes that tests start read the same sources as they do, whatever is installed
+_REPOSITORY = Path(__file__).parents[1]
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    [str(_REPOSITORY / root) for root in ("runtime", "training", "export")]
+    + [path for path in (os.environ.get("PYTHONPATH"),) if path]
+)
 
 ODD_SIZES = [(1, 1), (3, 5), (33, 18), (64, 97)]
 

@@ -11,21 +11,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stillray import (
+from stillray.arrays.strips import Strips, planes_of
+from stillray.families import box_filter as kernels
+from stillray.families import kernel_pyramid as pyramid
+from stillray.families import pyramid_logits as pyramid_layout
+from stillray.model_spec import load
+from stillray.model_spec.loader import FusedKernels, PyramidKernels
+from stillray.stages import (
     accumulate,
-    antialias,
     demodulate,
-    encode,
-    kernels,
-    pyramid,
-    pyramid_layout,
-    recall,
     repair,
     reproject,
 )
-from stillray.models_spec import load
-from stillray.models_spec.loader import FusedKernels, PyramidKernels
-from stillray.strips import Strips, planes_of
+from stillray.stages import albedo_history as antialias
+from stillray.stages import features as encode
+from stillray.stages import previous_output as recall
 from tests import oracles
 
 Inputs = dict[str, np.ndarray]
@@ -283,8 +283,8 @@ def _fuse(given: Inputs) -> float:
     """A block's branches, fused into one convolution in float32, beside the branches in float64."""
     import torch
 
-    from stillray.export.fuse import fuse
-    from stillray.training.networks.repvgg import RepVGGBlock, by_branches
+    from stillray_export.fuse import fuse
+    from stillray_training.networks.repvgg import RepVGGBlock, by_branches
 
     block = RepVGGBlock(4, 4, (3, 1), identity=True, activation=True)
     weights = torch.from_numpy(given["weights"].copy())

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from stillray.models_spec.loader import BilateralGrids, FusedKernels, PyramidKernels, Temporal
+from stillray.model_spec.loader import BilateralGrids, FusedKernels, PyramidKernels, Temporal
 
 
 def fused_kernels(
@@ -88,7 +88,7 @@ def cubic_weight(distance: float) -> float:
 def antialiased(
     divisor: np.ndarray, past: np.ndarray, samples: float, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What `stillray.antialias.accumulate` remembers and multiplies by, pixel by pixel."""
+    """What `albedo_history.accumulate` remembers and multiplies by, pixel by pixel."""
     height, width = divisor.shape[:2]
     result, modulator = np.ones((height, width, 4)), np.zeros((height, width, 3))
     for y, x in np.ndindex(height, width):
@@ -111,7 +111,8 @@ def antialiased(
 
 
 def sharp_recall(output: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`stillray.recall.recall`, sharp, pixel by pixel; and the brightest of the pixels it meets.
+    """`stillray.stages.previous_output.recall`, sharp, pixel by pixel; and the brightest of the
+    pixels it meets.
 
     The mean of the four pixels around, with the luminance of cubic convolution, limited to the
     range of the four; the mean alone of those in the frame where they are not all.
@@ -154,7 +155,7 @@ def kernel_pyramid(
     logits: list[np.ndarray],
     options: PyramidKernels,
 ) -> np.ndarray:
-    """`stillray.pyramid.filter_pyramid`, pixel by pixel; arrays as it takes them."""
+    """`kernel_pyramid.filter_pyramid`, pixel by pixel; arrays as it takes them."""
     bound, levels = options.logit_bound, len(logits)
     weights = [np.exp(np.clip(level.astype(np.float64), -bound, bound)) for level in logits]
     height, width = mean.shape[:2]

@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 
 import stillray
-from stillray.exr import atomic_path
+from stillray.io.exr.read_write import atomic_path
 from tests import worst_errors
 from tests.hard_cases.catalogue import CASES, models_and_providers
 from tests.hard_cases.features import ON_DEMAND
@@ -60,12 +60,12 @@ of any length: 8.8 ms before, +1.4 ms; +6.8 ms where they are not unit. Changes 
 ## What lets go of light that changed
 
 The light of a frame's samples is compared with that of the last frames' by blocks of 16x16 pixels
-(`stillray.relight`). Where all of 5x5 blocks are darker, or all brighter, and by 0.4 stops or more,
-the past is worth less, from 0.8 stops on nothing. Before, a light that was switched on took 33
-frames to show, one that was switched off 72 to 80, and the exposure as many. Changes by less than
-half a stop still fade in over 20 to 30 frames. Of 1,618 frames, those of `train.toml` and the
-validation scenes, 5 lost some past to noise, 1.1 % of the picture at most:
-`python -m stillray.training.light_changes FOLDER...` lists them.
+(`stillray.stages.history_rejection`). Where all of 5x5 blocks are darker, or all brighter, and by
+0.4 stops or more, the past is worth less, from 0.8 stops on nothing. Before, a light that was
+switched on took 33 frames to show, one that was switched off 72 to 80, and the exposure as many.
+Changes by less than half a stop still fade in over 20 to 30 frames. Of 1,618 frames, those of
+`train.toml` and the validation scenes, 5 lost some past to noise, 1.1 % of the picture at most:
+`python -m stillray_training.light_changes FOLDER...` lists them.
 
 """
 

@@ -115,7 +115,7 @@ def apart(images: object, wanted: object) -> float:
 
 def accumulated(denoiser: stillray.Denoiser, frame: Frame) -> np.ndarray:
     """Radiance as accumulated, before the kernels."""
-    from stillray.demodulate import divisor
+    from stillray.stages.demodulate import divisor
 
     assert denoiser.history is not None
     mean = denoiser.history.mean[..., :3]

@@ -1,5 +1,0 @@
-"""Model specifications: one TOML file a model and the strict loader."""
-
-from stillray.models_spec.loader import ModelSpec, SpecError, from_json, load, parse
-
-__all__ = ["ModelSpec", "SpecError", "from_json", "load", "parse"]

@@ -1,0 +1,47 @@
+"""stillray: clean frames from Monte Carlo renders of one to a few samples per pixel."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from stillray.version import __version__
+
+if TYPE_CHECKING:
+    from stillray.errors import InputError
+    from stillray.frame import Frame
+    from stillray.io.exr.read_write import read_exr, write_exr
+    from stillray.models.registry import list_models
+    from stillray.pipeline.denoiser import Denoiser, denoise
+
+__all__ = [
+    "Denoiser",
+    "Frame",
+    "InputError",
+    "__version__",
+    "denoise",
+    "list_models",
+    "read_exr",
+    "write_exr",
+]
+
+# Names are fetched when first used: importing the package loads neither NumPy nor OpenCV.
+_HOME = {
+    "Denoiser": "stillray.pipeline.denoiser",
+    "Frame": "stillray.frame",
+    "InputError": "stillray.errors",
+    "denoise": "stillray.pipeline.denoiser",
+    "list_models": "stillray.models.registry",
+    "read_exr": "stillray.io.exr.read_write",
+    "write_exr": "stillray.io.exr.read_write",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'stillray' has no attribute '{name}'")
+    value = getattr(import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,257 @@
+"""A shot in chunks, each with the frames before it that its history needs: for several machines."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from stillray.batch.farm import run_tasks
+from stillray.batch.file_layout import Layout
+from stillray.batch.read_ahead import AHEAD
+from stillray.batch.resume import Recipe, file_digest
+from stillray.batch.run import Done, finished, remove_leftovers, run_steps
+from stillray.batch.shot import Job, Step, steps_to_run, window
+from stillray.errors import InputError
+from stillray.io.frame_range import format_frames
+from stillray.models.registry import ModelInfo, find_model
+from stillray.pipeline.denoiser import Denoiser
+from stillray.version import __version__
+
+
+@dataclass(frozen=True, kw_only=True)
+class Work:
+    """How the frames of a shot are denoised, on whatever machine.
+
+    Attributes
+    ----------
+    model
+        Name, or absolute path of an .onnx file: how it is called on every machine.
+    recipe
+        Of all frames; its digest of the model must be that of the machine's.
+    layout
+        What is taken from the files and put back.
+    memory
+        Frames that a history goes back.
+    temporal
+        Whether frames are accumulated.
+    cuts
+        Whether cuts are looked for.
+    threads
+        Of the denoiser; None for all that there are.
+    max_memory
+        Bytes, see `stillray.Denoiser`.
+    """
+
+    model: str
+    recipe: Recipe
+    layout: Layout
+    memory: int
+    temporal: bool = True
+    cuts: bool = True
+    threads: int | None = None
+    max_memory: int | None = None
+
+    def run(self, model: ModelInfo, steps: Sequence[Step], report: Callable[[Done], None]) -> None:
+        """Denoise frames in order, here.
+
+        Parameters
+        ----------
+        model
+            The model itself, as it is on this machine.
+        steps
+            From `stillray.batch.shot.steps_to_run`.
+        report
+            Called as each is done.
+
+        Raises
+        ------
+        InputError
+            A frame cannot be read or written. Those before it are complete.
+        """
+        if not steps:
+            return
+        with Denoiser(
+            model, threads=self.threads, temporal=self.temporal, max_memory=self.max_memory
+        ) as denoiser:
+            run_steps(
+                denoiser,
+                steps,
+                self.layout,
+                self.recipe,
+                report,
+                memory=self.memory,
+                cuts=self.cuts,
+                # in little memory no more frames than needed are held at a time
+                ahead=AHEAD if self.max_memory is None else 1,
+            )
+
+    def find_model(self) -> ModelInfo:
+        """The model on this machine.
+
+        Raises
+        ------
+        InputError
+            There is none, or this machine would make other pictures.
+        """
+        if self.recipe.version != __version__:
+            raise InputError(f"workers must have stillray {self.recipe.version}, got {__version__}")
+        model = find_model(self.model)
+        if file_digest(model.path) != self.recipe.model_digest:
+            raise InputError(
+                f"workers must have the same file of the model {self.model}, got another one"
+            )
+        return model
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChunkDone:
+    """What came of a chunk.
+
+    Attributes
+    ----------
+    done
+        The frames that were run.
+    already
+        How many frames had been written before.
+    error
+        Why the chunk ended early; None if it did not.
+    """
+
+    done: list[Done]
+    already: int
+    error: str | None = None
+
+
+def split(jobs: Sequence[Job], frames: int, *, memory: int) -> dict[str, list[Job]]:
+    """A shot in chunks, each of them a short shot of its own.
+
+    Parameters
+    ----------
+    jobs
+        From `stillray.batch.shot.plan_shot`.
+    frames
+        That a chunk writes, at most; 1 or more.
+    memory
+        Frames that a history goes back: so many before a chunk belong to it too, unwritten.
+
+    Returns
+    -------
+    dict
+        The chunks by the numbers of the frames that they write, with absolute paths.
+    """
+    if frames < 1:
+        raise InputError(f"chunk must be 1 frame or more, got {frames}")
+    written = [index for index, job in enumerate(jobs) if job.output is not None]
+    chunks: dict[str, list[Job]] = {}
+    for start in range(0, len(written), frames):
+        own = written[start : start + frames]
+        needed = sorted({i for index in own for i in window(jobs, index, memory)})
+        numbers = [number for i in own if (number := jobs[i].number) is not None]
+        name = format_frames(numbers) if numbers else jobs[own[0]].source.name
+        chunks[name] = [_absolute(jobs[i], writes=i in own) for i in needed]
+    return chunks
+
+
+def denoise_chunk(jobs: Sequence[Job], threads: int, *, work: Work) -> ChunkDone:
+    """What a worker runs: the frames of a chunk that are not finished.
+
+    Parameters
+    ----------
+    jobs
+        One of `split`'s.
+    threads
+        To use, unless ``work`` says.
+    work
+        How.
+    """
+    model = work.find_model()
+    if work.threads is None:
+        work = replace(work, threads=threads)
+    kept = finished(jobs, work.recipe, memory=work.memory, layers=work.layout.layers)
+    ran: list[Done] = []
+    error: str | None = None
+    try:
+        work.run(model, steps_to_run(jobs, kept, memory=work.memory), ran.append)
+    except InputError as reason:  # what was done before it is done, and will be told of
+        error = f"{reason} (on {socket.gethostname()})"
+    return ChunkDone(done=ran, already=sum(kept), error=error)
+
+
+def run_chunks(
+    chunks: dict[str, list[Job]],
+    work: Work,
+    report: Callable[[Done], None],
+    *,
+    workers: int = 2,
+    scheduler: str | None = None,
+    wait: Callable[[str], None] = lambda line: None,
+) -> int:
+    """Denoise the chunks of a shot wherever there is room.
+
+    Frames that are finished already, by what their files hold, are kept; the chunk of a worker
+    that is lost goes to another one, which keeps the frames that the first has finished.
+
+    Parameters
+    ----------
+    chunks
+        From `split`.
+    work
+        How.
+    report
+        Called with each frame that was run, chunk by chunk as they end.
+    workers, scheduler, wait
+        As `stillray.batch.farm.run_tasks` takes them.
+
+    Returns
+    -------
+    int
+        How many frames had been written already.
+
+    Raises
+    ------
+    InputError
+        Some frames could not be done, all others are; or Dask cannot be used.
+    """
+    already, errors = 0, {}
+
+    def end(name: str, result: ChunkDone | None) -> None:
+        nonlocal already
+        if result is None:
+            return
+        already += result.already
+        for done in result.done:
+            report(done)
+        if result.error is not None:
+            errors[name] = result.error
+
+    failures = run_tasks(
+        partial(denoise_chunk, work=work),
+        chunks,
+        end,
+        workers=workers,
+        scheduler=scheduler,
+        wait=wait,
+    )
+    for jobs in chunks.values():  # of workers that were killed
+        remove_leftovers(jobs)
+    errors |= failures
+    if errors:
+        name, reason = next(iter(errors.items()))
+        others = f"; and {len(errors) - 1} more chunks failed" if len(errors) > 1 else ""
+        raise InputError(f"frames {name}: {reason}{others}; what is done is kept")
+    return already
+
+
+def _absolute(job: Job, *, writes: bool) -> Job:
+    def absolute(path: Path) -> Path:
+        return path.absolute()
+
+    return replace(
+        job,
+        source=absolute(job.source),
+        companions={role: absolute(path) for role, path in job.companions.items()},
+        output=absolute(job.output) if writes and job.output is not None else None,
+    )

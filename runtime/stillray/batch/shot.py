@@ -1,0 +1,237 @@
+"""What a shot asks for: which frames are run, which are written, where history begins anew."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from stillray.errors import InputError
+from stillray.io.file_sequence import (
+    NumberedFile,
+    expand,
+    map_companions,
+    number_files,
+    refuse_overwriting,
+    select,
+)
+from stillray.io.frame_range import parse_frames
+
+#: Frames that a frame's history is taken to go back, unless told otherwise. It fades by a factor of
+#: e in about 13 frames: at a border where history begins anew so many frames before, the picture of
+#: wskp-3 differs by 8.7 % of the mean radiance after 8 frames, 4.5 % after 16, 1.2 % after 32 (72
+#: frames of a room at 1 spp): 1.25, 0.66 and 0.18 times what changes from frame to frame anyway.
+MEMORY_FRAMES = 32
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One frame of a shot.
+
+    Attributes
+    ----------
+    number
+        None for a file that is not of a sequence.
+    source
+        The file with its color.
+    companions
+        Feature files by role.
+    output
+        Where the clean frame goes; None for a frame that is only there for the history of others.
+    """
+
+    number: int | None
+    source: Path
+    companions: Mapping[str, Path]
+    output: Path | None
+
+    @property
+    def inputs(self) -> dict[str, Path]:
+        """All files that are read, by role."""
+        return {"color": self.source, **self.companions}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One run of the denoiser.
+
+    Attributes
+    ----------
+    job
+        The frame.
+    writes
+        Whether the result is kept; a warm-up only builds history.
+    starts_anew
+        Whether the frame before it in time was not run, so that history must be dropped:
+        its motion points into that frame.
+    """
+
+    job: Job
+    writes: bool
+    starts_anew: bool
+
+
+def plan_shot(
+    sources: Sequence[str],
+    output: str,
+    companions: Mapping[str, str] | None = None,
+    *,
+    frames: str | None = None,
+    on_missing: str = "error",
+    warm_up: int = 0,
+    layers: Mapping[str, str] | None = None,
+) -> list[Job]:
+    """The frames of a shot in order; everything but the pixels is checked.
+
+    Parameters
+    ----------
+    sources
+        One file, pattern or glob, see `stillray.io.file_sequence.expand`; or the files of one
+        sequence.
+    output
+        A file, a pattern, or a folder, which then holds files of the sources' names.
+    companions
+        Feature files or patterns by role.
+    frames
+        Which frames are written, see `stillray.io.frame_range.parse_frames`; None for all.
+    on_missing
+        What to do about frames that have no file: ``"error"``, or ``"skip"``, which begins a new
+        history after them.
+    warm_up
+        Up to so many frames before those are run too, where there are files.
+    layers
+        Role to the layer to take for it, see `stillray.io.channels.roles.parse_overrides`.
+
+    Raises
+    ------
+    InputError
+        An input is missing or lacks its channels, or the output cannot be written.
+    """
+    from stillray.io.exr.read_write import check_layer
+
+    if on_missing not in ("error", "skip"):
+        raise InputError(f"on-missing must be error or skip, got {on_missing}")
+    if warm_up < 0:
+        raise InputError(f"warm-up must be 0 frames or more, got {warm_up}")
+    there = expand(sources[0]) if len(sources) == 1 else _listed(sources)
+    numbers = None if frames is None else parse_frames(frames)
+    wanted = select(there, numbers, on_missing=on_missing)
+    outputs = dict(zip(wanted, map_companions(output, wanted, name="output"), strict=True))
+    files = _with_lead_in(wanted, there, warm_up)
+    features = {
+        role: map_companions(pattern, files, name=role)
+        for role, pattern in (companions or {}).items()
+    }
+    for path in outputs.values():
+        if path.suffix.lower() != ".exr":
+            raise InputError(f"output must be an .exr file, got {path}")
+    jobs = [
+        Job(
+            number=file.number,
+            source=file.path,
+            companions={role: paths[i] for role, paths in features.items()},
+            output=outputs.get(file),
+        )
+        for i, file in enumerate(files)
+    ]
+    refuse_overwriting(
+        list(outputs.values()), [path for job in jobs for path in job.inputs.values()]
+    )
+    _require_writable(next(iter(outputs.values())))
+    for job in jobs:
+        for role, path in job.inputs.items():
+            check_layer(path, role, layers)
+    return jobs
+
+
+def steps_to_run(jobs: Sequence[Job], done: Sequence[bool], *, memory: int) -> list[Step]:
+    """The frames that are not done, each with the frames before it that its history needs.
+
+    Parameters
+    ----------
+    jobs
+        From `plan_shot`.
+    done
+        Which of them need not be written again; of no account where there is no output.
+    memory
+        Frames that a history goes back.
+    """
+    needed: set[int] = set()
+    for index, job in enumerate(jobs):
+        if job.output is not None and not done[index]:
+            needed.update(window(jobs, index, memory))
+    return [
+        Step(
+            job=jobs[i],
+            writes=jobs[i].output is not None and not done[i],
+            starts_anew=i - 1 not in needed or not follows(jobs, i),
+        )
+        for i in sorted(needed)
+    ]
+
+
+def first_run(jobs: Sequence[Job]) -> list[Path]:
+    """Files of the first frames that follow each other; of the first frame if none do."""
+    last = next((i for i in range(1, len(jobs)) if follows(jobs, i)), 1)
+    start = last - 1
+    while last < len(jobs) and follows(jobs, last):
+        last += 1
+    return [job.source for job in jobs[start:last]]
+
+
+def window(jobs: Sequence[Job], index: int, memory: int) -> range:
+    """The frames that make a frame: itself, and up to ``memory`` before it without a gap."""
+    first = index
+    while index - first < memory and follows(jobs, first):
+        first -= 1
+    return range(first, index + 1)
+
+
+def follows(jobs: Sequence[Job], index: int) -> bool:
+    """Whether a job's frame is the next in time after the one before it in the list."""
+    if index == 0:
+        return False
+    number, before = jobs[index].number, jobs[index - 1].number
+    return number is not None and before is not None and number == before + 1
+
+
+def _listed(sources: Sequence[str]) -> list[NumberedFile]:
+    paths = [Path(source) for source in sources]
+    for path in paths:
+        if not path.is_file():
+            raise InputError(
+                f"{path}: no such file; several inputs must be the files of a sequence"
+            )
+    return number_files(paths)
+
+
+def _with_lead_in(
+    wanted: Sequence[NumberedFile], there: Sequence[NumberedFile], warm_up: int
+) -> list[NumberedFile]:
+    """The wanted frames and up to ``warm_up`` before each, as far as there is no gap."""
+    if warm_up == 0 or wanted[0].number is None:
+        return list(wanted)
+    by_number = {file.number: file for file in there}
+    numbers: set[int] = set()
+    for file in wanted:
+        assert file.number is not None
+        numbers.add(file.number)
+        for number in range(file.number - 1, file.number - 1 - warm_up, -1):
+            if number not in by_number:
+                break
+            numbers.add(number)
+    return [by_number[number] for number in sorted(numbers)]
+
+
+def _require_writable(output: Path) -> None:
+    if output.is_dir():
+        raise InputError(f"output must be a file, got the folder {output}")
+    try:
+        # really tried: permission bits say little on network drives, and nothing to root
+        with tempfile.TemporaryFile(dir=output.parent):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"{output}: the folder must exist and be writable: {error.strerror}"
+        ) from None

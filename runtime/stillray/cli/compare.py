@@ -1,0 +1,98 @@
+"""``stillray compare``: images and their reference on one page that opens in any browser."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stillray.compare import MAX_MEGAPIXELS
+from stillray.errors import InputError
+
+if TYPE_CHECKING:
+    from stillray.compare.page import Summary
+    from stillray.compare.sources import Sources
+
+
+def compare(
+    images: Annotated[
+        list[str],
+        typer.Argument(metavar="IMAGE...", help="EXR files, or sequences as 'a.####.exr'."),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The HTML page to write.")],
+    reference: Annotated[
+        str | None,
+        typer.Option("--reference", "-r", help="What the images should be: metrics, error maps."),
+    ] = None,
+    label: Annotated[
+        list[str] | None, typer.Option("--label", help="Name of an image; repeat in their order.")
+    ] = None,
+    title: Annotated[str | None, typer.Option(help="Heading of the page.")] = None,
+    frames: Annotated[
+        str | None, typer.Option(help="Frames of sequences, as 1,10-80,90-99x3.", metavar="RANGE")
+    ] = None,
+    crop: Annotated[
+        str | None, typer.Option(help="Only this part, pixels.", metavar="X,Y,WIDTH,HEIGHT")
+    ] = None,
+    downscale: Annotated[
+        int, typer.Option(help="Show 1/N of the size; metrics are of every pixel all the same.")
+    ] = 1,
+    max_megapixels: Annotated[
+        float, typer.Option(help="Limit of the pixels on the page, all images and frames.")
+    ] = MAX_MEGAPIXELS,
+) -> None:
+    """Compare images on one self-contained HTML page."""
+    from stillray.compare.page import Region, write_page
+    from stillray.compare.sources import pair
+    from stillray.io.file_sequence import refuse_overwriting
+
+    if output.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"output must be an .html file, got {output}")
+    sources = pair(images, reference, labels=label or (), frames=frames)
+    paths = [path for frame in sources.frames for path in (*frame.images, frame.reference) if path]
+    refuse_overwriting([output], paths)
+    if sources.left_out:
+        print(
+            f"left out, not in every sequence: {', '.join(map(str, sources.left_out))}",
+            file=sys.stderr,
+        )
+    summary = write_page(
+        output,
+        sources,
+        title=title,
+        region=Region(crop=_parse_crop(crop), downscale=downscale),
+        max_megapixels=max_megapixels,
+    )
+    _print_figures(sources, summary)
+    print(f"{output}: {summary.size_bytes / 1e6:.1f} MB")
+
+
+def _parse_crop(crop: str | None) -> tuple[int, int, int, int] | None:
+    if crop is None:
+        return None
+    try:
+        x, y, width, height = (int(part) for part in crop.split(","))
+    except ValueError:
+        raise InputError(f"--crop must be X,Y,WIDTH,HEIGHT in pixels, got {crop}") from None
+    return x, y, width, height
+
+
+def _print_figures(sources: Sources, summary: Summary) -> None:
+    from rich.table import Table
+
+    from stillray.cli.output import console
+    from stillray.compare import scores
+
+    shown = scores.columns(summary.values)
+    if not shown:
+        return
+    table = Table(box=None, pad_edge=False)
+    measured = sum(frame.reference is not None for frame in sources.frames)
+    table.add_column("image" if len(sources.frames) == 1 else f"mean of frames: {measured}")
+    for metric in shown:
+        table.add_column(metric.title, justify="right")
+    for label, row in zip(sources.labels, scores.table(summary.values, shown), strict=True):
+        table.add_row(label, *(cell.text for cell in row))
+    console().print(table)

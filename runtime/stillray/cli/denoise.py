@@ -1,0 +1,273 @@
+"""``stillray denoise``: one file or a sequence, in order, through one denoiser."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stillray.cli import dry_run, reports
+from stillray.errors import InputError
+
+if TYPE_CHECKING:
+    from stillray.batch.run import Done
+
+#: Frames of a chunk unless told otherwise: twice as many as are run before it for its history.
+CHUNK_FRAMES = 64
+_FILE = "EXR file that holds the {}, or a pattern, glob or folder for a sequence."
+
+
+def _complete_model(incomplete: str) -> list[str]:
+    from stillray.models.registry import list_models
+
+    models = list_models()
+    names = [alias for model in models for alias in model.aliases] + [m.name for m in models]
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def denoise(
+    sources: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="INPUT...",
+            help="An EXR file; a sequence as 'shot.####.exr', 'shot.%04d.exr' or 'shot.*.exr'; "
+            "or the files of one sequence.",
+        ),
+    ] = None,
+    hdr: Annotated[
+        str | None, typer.Option("--hdr", "-hdr", help="INPUT, as oidnDenoise names it.")
+    ] = None,
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output",
+            "-o",
+            help="An EXR file, a pattern as 'clean.####.exr', or a folder, which gets files of "
+            "the inputs' names.",
+        ),
+    ] = "",
+    model: Annotated[
+        str,
+        typer.Option(
+            "--model",
+            "--quality",
+            "-m",
+            autocompletion=_complete_model,
+            help="fast, balanced, high, a model name or .onnx file; also -q high, as oidnDenoise "
+            "has it.",
+        ),
+    ] = "high",
+    albedo: Annotated[
+        str | None, typer.Option("--albedo", "--alb", "-alb", help=_FILE.format("albedo"))
+    ] = None,
+    normal: Annotated[
+        str | None, typer.Option("--normal", "--nrm", "-nrm", help=_FILE.format("normal"))
+    ] = None,
+    depth: Annotated[str | None, typer.Option(help=_FILE.format("depth"))] = None,
+    motion: Annotated[str | None, typer.Option(help=_FILE.format("motion"))] = None,
+    layer: Annotated[
+        list[str] | None,
+        typer.Option("--layer", help="ROLE=NAME: take this layer, or channels, for a role."),
+    ] = None,
+    aovs: Annotated[
+        str | None,
+        typer.Option(
+            help="Layers of light to filter as the beauty, as diffuse,specular; or all that are "
+            "known. They keep adding up."
+        ),
+    ] = None,
+    only_color: Annotated[
+        bool, typer.Option("--only-color", help="Write R, G, B and no other channels.")
+    ] = False,
+    frames: Annotated[
+        str | None, typer.Option(help="Frames to write, as 10-80, 10-80x2 or 1,5,10-20.")
+    ] = None,
+    on_missing: Annotated[
+        str,
+        typer.Option(
+            help="error, or skip: go on without frames that have no file, with a new history."
+        ),
+    ] = "error",
+    warm_up: Annotated[
+        int | None,
+        typer.Option(
+            help="Run so many frames before the first one too, without writing them, so that it "
+            "has a history: for a part of a shot. In chunks, and where a run is resumed, 32 unless "
+            "given; with 16 or fewer, a step may be seen where chunks meet."
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Dask scheduler, as tcp://host:8786, whose workers take a chunk of the sequence "
+            "each; they must see the files under the same names. Finished frames are kept, as "
+            "with --resume.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(help="The same in so many processes of this machine, without a scheduler."),
+    ] = None,
+    chunk: Annotated[
+        int | None,
+        typer.Option(
+            help=f"Frames of a chunk, {CHUNK_FRAMES} unless given; those of --warm-up come on top."
+        ),
+    ] = None,
+    threads: Annotated[
+        int | None,
+        typer.Option(
+            help="Threads of each process; all available processors, shared among local workers, "
+            "unless given."
+        ),
+    ] = None,
+    max_memory: Annotated[
+        str | None,
+        typer.Option(
+            help="What the process may take, as 2G or 800M: larger frames are denoised in tiles, "
+            "slower, with the same pixels but for rounding."
+        ),
+    ] = None,
+    temporal: Annotated[
+        bool, typer.Option("--temporal/--no-temporal", help="Accumulate over frames.")
+    ] = True,
+    cuts: Annotated[
+        bool,
+        typer.Option(
+            "--cuts/--no-cuts", help="Look for cuts and begin a new history where one is found."
+        ),
+    ] = True,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="Keep outputs that were made from the same inputs with the same model and "
+            "options, known by digests that they hold.",
+        ),
+    ] = False,
+    dry: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Say what would be done, and why; write nothing."),
+    ] = False,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print a JSON object a line: one a frame, then a summary."),
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", help="Print errors only; also -q before another option.")
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="A line a frame with all its times.")
+    ] = False,
+) -> None:
+    """Denoise an EXR file or a numbered sequence.
+
+    Flags of oidnDenoise that mean the same are taken: --hdr, --alb, --nrm, -o, -q, with one dash
+    or two.
+    """
+    if hdr is not None:
+        if sources:
+            raise InputError(f"INPUT must be given once, got {sources[0]} and --hdr {hdr}")
+        sources = [hdr]
+    if not sources:
+        raise InputError("INPUT must be given: an EXR file or a sequence as 'shot.####.exr'")
+    if not output:
+        raise InputError("output must be given: -o FILE, PATTERN or FOLDER")
+    from stillray.batch.file_layout import Layout
+    from stillray.batch.resume import Recipe, file_digest
+    from stillray.batch.shot import MEMORY_FRAMES, first_run, plan_shot, steps_to_run
+    from stillray.io.channels.roles import parse_overrides
+    from stillray.models.registry import find_model
+    from stillray.pipeline.tiles import parse_memory
+
+    spread = _spreads(scheduler, workers, chunk)
+    layers = parse_overrides(layer or [])
+    companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
+    jobs = plan_shot(
+        sources,
+        output,
+        {role: pattern for role, pattern in companions.items() if pattern is not None},
+        frames=frames,
+        on_missing=on_missing,
+        warm_up=(warm_up or 0) if temporal else 0,
+        layers=layers,
+    )
+    layout = Layout.of(
+        first_run(jobs),
+        layers=layers,
+        aovs=None if aovs is None else () if aovs == "all" else tuple(aovs.split(",")),
+        only_color=only_color,
+        temporal=temporal and motion is None,
+    )
+    limit = None if max_memory is None else parse_memory(max_memory)
+    cuts = cuts and temporal
+    chosen = find_model(model)
+    memory = 0 if not temporal else MEMORY_FRAMES if warm_up is None else warm_up
+    recipe = Recipe(
+        model=chosen.name,
+        model_digest=file_digest(chosen.path),
+        options={"temporal": temporal, "cuts": cuts, **layout.options()},
+    )
+    done = [False] * len(jobs)
+    start = reports.clock()
+    if resume and (dry or not spread):  # workers look for themselves
+        from stillray.batch.run import finished
+
+        done = finished(jobs, recipe, memory=memory, layers=layers)
+    steps = steps_to_run(jobs, done, memory=memory)
+    if dry:
+        facts = dry_run.collect(jobs, steps, layout, chosen.spec, temporal=temporal)
+        dry_run.show(facts, as_json=as_json)
+        return
+    from stillray.batch.chunks import Work, run_chunks, split
+    from stillray.batch.run import remove_leftovers
+
+    work = Work(
+        model=str(chosen.path.absolute()) if model.endswith(".onnx") else chosen.name,
+        recipe=recipe,
+        layout=layout,
+        memory=memory,
+        temporal=temporal,
+        cuts=cuts,
+        threads=threads,
+        max_memory=limit,
+    )
+    size = CHUNK_FRAMES if chunk is None else chunk
+    chunks = split(jobs, size, memory=memory) if spread else {}
+    remove_leftovers(jobs)
+    kind = "json" if as_json else "quiet" if quiet else "text"
+    ran: list[Done] = []
+    already = sum(done)
+    total = sum(map(len, chunks.values())) or len(steps)
+    with reports.report_to(kind, total, verbose=verbose) as report:
+        if layout.detection is not None:
+            report.motion(layout.detection)
+
+        def tell(frame: Done) -> None:
+            ran.append(frame)
+            report.frame(frame)
+
+        if spread:
+            already = run_chunks(
+                chunks, work, tell, workers=workers or 1, scheduler=scheduler, wait=report.wait
+            )
+        else:
+            work.run(chosen, steps, tell)
+        report.end(
+            reports.summarise(
+                ran, model=chosen.name, already=already, seconds=reports.clock() - start
+            )
+        )
+
+
+def _spreads(scheduler: str | None, workers: int | None, chunk: int | None) -> bool:
+    """Whether the shot is split in chunks."""
+    if workers is not None and workers < 1:
+        raise InputError(f"workers must be 1 or more, got {workers}")
+    if workers is not None and scheduler is not None:
+        raise InputError(f"workers must not be given with a scheduler, got {workers}")
+    spread = scheduler is not None or (workers or 1) > 1
+    if chunk is not None and not spread:
+        raise InputError(f"chunk must be given with --scheduler or --workers, got {chunk} alone")
+    return spread

@@ -1,0 +1,126 @@
+"""``stillray denoise --dry-run``: which frames, layers and stages there will be, and why."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from stillray.cli.reports import frames
+
+if TYPE_CHECKING:
+    from stillray.batch.file_layout import Layout
+    from stillray.batch.shot import Job, Step
+    from stillray.model_spec.loader import ModelSpec
+    from stillray.pipeline.plan import Stage
+
+
+def collect(
+    jobs: Sequence[Job], steps: Sequence[Step], layout: Layout, spec: ModelSpec, *, temporal: bool
+) -> dict[str, Any]:
+    """What a run would do; reads the first two frames that it would run, at most.
+
+    Parameters
+    ----------
+    jobs
+        All frames.
+    steps
+        Those that need work.
+    layout
+        How files are read.
+    spec
+        The model's.
+    temporal
+        Whether frames are accumulated.
+    """
+    from stillray.pipeline.plan import plan
+
+    planned = {id(step.job): step for step in steps}
+    facts: dict[str, Any] = {
+        "model": spec.name,
+        "frames": [_frame(job, planned.get(id(job))) for job in jobs],
+        "layers": {},
+        "stages_first": [],
+        "stages_following": [],
+    }
+    if not steps:
+        return facts
+    facts["layers"] = _layers(steps[0].job, layout)
+    first, _ = layout.read(steps[0].job.source, steps[0].job.companions, None)
+    facts["stages_first"] = _stages(plan(first, spec, has_history=False, temporal=temporal))
+    following = next((step for step in steps if not step.starts_anew), None)
+    if following is not None:
+        before = steps[steps.index(following) - 1].job.source
+        frame, _ = layout.read(following.job.source, following.job.companions, before)
+        facts["stages_following"] = _stages(plan(frame, spec, has_history=True, temporal=temporal))
+    return facts
+
+
+def show(facts: dict[str, Any], *, as_json: bool) -> None:
+    """Print what `collect` found."""
+    if as_json:
+        print(json.dumps(facts, indent=2))
+        return
+    from rich.table import Table
+
+    from stillray.cli.output import console
+
+    out = console()
+    table = Table("frame", "input", "output", "what", box=None, pad_edge=False)
+    for frame in facts["frames"]:
+        number = "" if frame["number"] is None else str(frame["number"])
+        table.add_row(number, frame["source"], frame["output"] or "", frame["action"])
+    out.print(table)
+    for role, layer in facts["layers"].items():
+        out.print(f"{role}: {', '.join(layer['channels'])} of {layer['file']}")
+    for which, title in (("stages_first", "a first frame"), ("stages_following", "the next ones")):
+        if not facts[which]:
+            continue
+        stages = Table("stage", "runs", "why", box=None, pad_edge=False)
+        for stage in facts[which]:
+            stages.add_row(stage["name"], "yes" if stage["runs"] else "no", stage["reason"])
+        out.print(f"\nstages with {facts['model']}, for {title}:")
+        out.print(stages)
+    count = sum(frame["writes"] for frame in facts["frames"])
+    out.print(f"\n{frames(count)} would be written; nothing has been")
+
+
+def _frame(job: Job, step: Step | None) -> dict[str, Any]:
+    if step is None:
+        action = "not needed" if job.output is None else "done already"
+    else:
+        action = "denoise" if step.writes else "warm-up, not written"
+        if step.starts_anew:
+            action += ", history starts anew"
+    return {
+        "number": job.number,
+        "source": str(job.source),
+        "output": None if job.output is None else str(job.output),
+        "action": action,
+        "writes": step is not None and step.writes,
+        "starts_anew": step is not None and step.starts_anew,
+    }
+
+
+def _layers(job: Job, layout: Layout) -> dict[str, Any]:
+    from stillray.io.channels.roles import find_alone, find_layers
+    from stillray.io.exr.read_write import ExrFile
+
+    proven = layout.detection is not None and layout.detection.convention is not None
+    found = {
+        match.role: {"file": str(job.source), "channels": list(match.channels)}
+        for match in find_layers(
+            ExrFile.open(job.source, headers_only=True).channels, layout.layers
+        )
+        if match.used or (match.role == "motion" and proven)
+    }
+    for role, path in job.companions.items():
+        match = find_alone(
+            role, list(ExrFile.open(path, headers_only=True).channels), layout.layers
+        )
+        found[role] = {"file": str(path), "channels": list(match.channels) if match else []}
+    return found
+
+
+def _stages(stages: Sequence[Stage]) -> list[dict[str, Any]]:
+    return [{"name": s.name, "runs": s.runs, "reason": s.reason} for s in stages]

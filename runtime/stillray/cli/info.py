@@ -1,0 +1,166 @@
+"""``stillray info``: what a file holds, what is made of it, and which stages will run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from stillray.io.channels.motion_detection import Detection
+    from stillray.io.channels.roles import LayerMatch
+
+
+def info(
+    file: Annotated[str, typer.Argument(help="An EXR file, or a sequence: its first frame.")],
+    model: Annotated[
+        str, typer.Option("--model", "-m", help="Quality, model name or .onnx file.")
+    ] = "high",
+    layer: Annotated[
+        list[str] | None,
+        typer.Option("--layer", help="ROLE=NAME: take this layer, or channels, for a role."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Show the channels found, their roles, and the stages that will run."""
+    facts = _collect(file, model, layer or [])
+    if as_json:
+        print(json.dumps(facts, indent=2))
+    else:
+        _print_facts(facts)
+
+
+def _collect(file: str, model: str, layer: list[str]) -> dict[str, Any]:
+    from stillray.io.channels.motion_detection import detect_in_sequence
+    from stillray.io.channels.roles import find_layers, parse_overrides
+    from stillray.io.exr.read_write import ExrFile, read_exr, require_color
+    from stillray.io.file_sequence import expand
+    from stillray.pipeline.denoiser import Denoiser
+
+    paths = [numbered.path for numbered in expand(file)]
+    path, chosen = paths[0], parse_overrides(layer)
+    opened = ExrFile.open(path)
+    matches = require_color(path, find_layers(opened.channels, chosen))
+    detection = detect_in_sequence(paths, layers=chosen)
+    if detection is not None and len(paths) > 1:
+        matches = [_with_proof(match, detection) for match in matches]
+    frame = read_exr(path, layers=chosen, convention=detection.convention if detection else None)
+    part = opened.container.parts[opened.channels[matches[0].channels[0]][0]]
+    with Denoiser(model) as denoiser:
+        stages, model_name = denoiser.stages(frame), denoiser.model.name
+    height, width = frame.shape
+    return {
+        "file": str(path),
+        "height": height,
+        "width": width,
+        "data_window": list(part.data),
+        "display_window": list(part.display),
+        "parts": [
+            {
+                "name": part.name,
+                "compression": part.compression,
+                "tile": list(part.tile) if part.tile else None,
+                "channels": {channel.name: channel.kind for channel in part.channels},
+            }
+            for part in opened.container.parts
+        ],
+        "channels": list(opened.channels),
+        "layers": [
+            {
+                "role": match.role,
+                "channels": list(match.channels),
+                "signs": list(match.signs),
+                "naming": match.renderer,
+                "used": match.used,
+                "note": match.note,
+            }
+            for match in matches
+        ],
+        "color_pixels": _count_pixels(frame.color),
+        "warnings": _warnings(frame.normal),
+        "model": model_name,
+        "stages": [
+            {"name": stage.name, "runs": stage.runs, "reason": stage.reason} for stage in stages
+        ],
+    }
+
+
+def _with_proof(match: LayerMatch, detection: Detection) -> LayerMatch:
+    if match.role != "motion":
+        return match
+    if detection.convention is None:
+        return replace(match, note=f"not proven, not used: {detection.reason}")
+    return replace(match.proven(detection.convention), note=f"proven: {detection.reason}")
+
+
+def _count_pixels(color: np.ndarray) -> dict[str, int]:
+    import numpy as np
+
+    return {
+        "total": color.shape[0] * color.shape[1],
+        "nan": int(np.isnan(color).any(axis=-1).sum()),
+        "infinite": int(np.isinf(color).any(axis=-1).sum()),
+        "negative": int((color < 0).any(axis=-1).sum()),
+    }
+
+
+def _warnings(normal: np.ndarray | None) -> list[str]:
+    import numpy as np
+
+    if normal is None or not np.any(normal > 0) or np.any(normal < 0):
+        return []
+    return ["normal has no negative component: it may be encoded as 0..1, which is not decoded"]
+
+
+def _describe(parts: list[dict[str, Any]]) -> str:
+    def several(key: str) -> str:
+        return ", ".join(dict.fromkeys(str(part[key]) for part in parts))
+
+    kinds = dict.fromkeys(kind for part in parts for kind in part["channels"].values())
+    count = "1 part" if len(parts) == 1 else f"{len(parts)} parts"
+    tiles = [f"{part['tile'][0]} x {part['tile'][1]}" for part in parts if part["tile"]]
+    stored = f"tiles of {tiles[0]}" if tiles else "scan lines"
+    return f"{count} of {stored}, {', '.join(kinds)}, compression {several('compression')}"
+
+
+def _print_facts(facts: dict[str, Any]) -> None:
+    from rich.table import Table
+
+    from stillray.cli.output import console
+
+    out = console()
+    pixels = facts["color_pixels"]
+    out.print(f"{facts['file']}: {facts['width']} x {facts['height']} pixels")
+    out.print(_describe(facts["parts"]))
+    for name in ("data_window", "display_window"):
+        x, y, width, height = facts[name]
+        out.print(f"{name.replace('_', ' ')}: {width} x {height} at ({x}, {y})")
+    counts = ", ".join(f"{pixels[kind]} {kind}" for kind in ("nan", "infinite", "negative"))
+    out.print(f"color pixels: {counts}, of {pixels['total']}")
+    for warning in facts["warnings"]:
+        out.print(f"warning: {warning}")
+    out.print()
+
+    layers = Table("role", "channels", "naming", "used", "note", box=None, pad_edge=False)
+    for layer in facts["layers"]:
+        signed = [
+            f"-{name}" if sign < 0 else name
+            for name, sign in zip(layer["channels"], layer["signs"], strict=True)
+        ]
+        used = "yes" if layer["used"] else "no"
+        layers.add_row(layer["role"], ", ".join(signed), layer["naming"], used, layer["note"])
+    out.print(layers)
+    taken = {name for layer in facts["layers"] for name in layer["channels"]}
+    rest = [name for name in facts["channels"] if name not in taken]
+    out.print(f"channels without a role: {', '.join(rest) or 'none'}")
+    out.print()
+
+    stages = Table("stage", "runs", "why", box=None, pad_edge=False)
+    for stage in facts["stages"]:
+        stages.add_row(stage["name"], "yes" if stage["runs"] else "no", stage["reason"])
+    out.print(f"stages with {facts['model']}, for a first frame:")
+    out.print(stages)

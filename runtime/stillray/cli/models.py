@@ -1,0 +1,64 @@
+"""``stillray models``: what there is to choose from, and how good it is."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from stillray.models.registry import ModelInfo
+
+
+def models(
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """List the models: inputs, size and validation scores."""
+    from stillray.models.registry import list_models
+
+    found = list_models()
+    if as_json:
+        print(json.dumps([_as_dict(model) for model in found], indent=2))
+    else:
+        _print_table(found)
+
+
+def _as_dict(model: ModelInfo) -> dict[str, Any]:
+    return {
+        "name": model.name,
+        "family": model.family,
+        "quality": list(model.aliases),
+        "summary": model.summary,
+        "inputs": list(model.inputs),
+        "optional_inputs": list(model.optional_inputs),
+        "parameters": model.parameters,
+        "size_bytes": model.size_bytes,
+        "scores": dict(model.scores),
+        "path": str(model.path),
+    }
+
+
+def _print_table(found: list[ModelInfo]) -> None:
+    from rich.table import Table
+
+    from stillray.cli.output import console
+
+    scores = list(dict.fromkeys(score for model in found for score in model.scores))
+    table = Table(box=None, pad_edge=False)
+    for heading in ("name", "family", "quality", "inputs (optional)"):
+        table.add_column(heading)
+    for heading in ("parameters", "kB", *scores):
+        table.add_column(heading, justify="right")
+    for model in found:
+        optional = f" ({', '.join(model.optional_inputs)})" if model.optional_inputs else ""
+        table.add_row(
+            model.name,
+            model.family,
+            ", ".join(model.aliases),
+            ", ".join(model.inputs) + optional,
+            f"{model.parameters:,}",
+            f"{model.size_bytes / 1000:.1f}",
+            *(f"{model.scores[s]:.4g}" if s in model.scores else "-" for s in scores),
+        )
+    console().print(table)

@@ -1,0 +1,375 @@
+"""Reconstruction with bilateral grids (Meng et al. 2020, sections 4.2, 4.3 and 4.5).
+
+Pixels are splatted into a grid at the place that their guide says, and read from it at the same
+place: light spreads among pixels that are near and alike. Every result is a weighted mean of
+irradiance, so no light is invented.
+
+differs: a grid has all the cells that a tent can reach; eq. 8 has one too few at odd ends. A cell
+is empty if nothing was splatted into it; eq. 13 takes a black one for empty. The last blend weight
+is what the others leave of 1, each taking its share of the rest: never negative, where
+``1 - w0 - w1`` can be; the price is that scales cannot be set off against each other to sharpen.
+
+A grid is made and read one row of blocks at a time, between two rows of cells. Pixels are splatted
+along x and depth into a slab of their own row, where those of one phase, one from each block, never
+meet in a cell: that is plain indexing, without the slow additions at equal places. Along y the
+slabs are then added up by the tent; and back the same way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from stillray.arrays.strips import Strips, strips_of
+from stillray.arrays.workspace import Scratch
+from stillray.model_spec.loader import BilateralGrids, ModelSpec
+from stillray.stages.prepare import Prepared
+from stillray.timing import timed
+
+#: Values of a guide, of which the paper has as many as an 8-bit image.
+GUIDE_RANGE = 255.0
+# Weight of a cell, in samples, below which it is empty: far below the least sample's least corner.
+_EMPTY = np.float32(1e-30)
+# Four float32 channels of a pixel or a cell as one element, which NumPy moves at once.
+_FOUR = np.complex128
+
+
+def grid_cells(
+    height: int, width: int, options: BilateralGrids, scale: int
+) -> tuple[int, int, int]:
+    """Rows, columns and depth of a grid, 0 being the finest scale."""
+    spacing = options.spacing << scale
+    depth = math.ceil(GUIDE_RANGE / (options.depth_spacing * 2**scale)) + 1
+    # no quotients of negative numbers here: an exported graph rounds those the other way
+    return (height - 1) // spacing + 2, (width - 1) // spacing + 2, depth
+
+
+def reach(spec: ModelSpec) -> int:
+    """Pixels from which light can come to a pixel, to each side: two that share a cell."""
+    assert isinstance(spec.decoder, BilateralGrids)
+    return 2 * (_unit(spec.decoder) - 1)
+
+
+def method(spec: ModelSpec) -> str:
+    """What the reconstruction does, in a few words."""
+    assert isinstance(spec.decoder, BilateralGrids)
+    count = spec.decoder.grids
+    return "a bilateral grid" if count == 1 else f"{count} bilateral grids"
+
+
+def reconstruct(
+    prepared: Prepared,
+    previous: np.ndarray | None,
+    outputs: Sequence[np.ndarray],
+    spec: ModelSpec,
+    strips: Strips,
+    timings: dict[str, float],
+) -> np.ndarray:
+    """Filter and re-modulate a frame, see `stillray.families.registry.Family`."""
+    assert isinstance(spec.decoder, BilateralGrids)
+    (maps,) = outputs
+    with timed(timings, "reconstruct"):
+        image = filter_grids(prepared.history.mean, maps, spec.decoder, strips)
+    if (by := prepared.modulator) is not None:
+
+        def modulate(rows: slice) -> None:
+            image[rows] *= by[rows]
+
+        with timed(timings, "modulate"):
+            strips.run(modulate, *image.shape[:2])
+    return image
+
+
+def filter_grids(
+    mean: np.ndarray,
+    maps: np.ndarray,
+    options: BilateralGrids,
+    strips: Strips,
+) -> np.ndarray:
+    """Splat a frame into its grids, slice them and blend.
+
+    Parameters
+    ----------
+    mean : (h, w, 4) float32
+        Irradiance, >= 0 and finite; and the samples that each pixel holds, >= 0, which it is
+        splatted by when the options say so.
+    maps : (2 m - 1, h, w) float32
+        A guide for each of m grids, finest first; then, for all but the last, the share that a
+        grid takes of what the finer ones have left. In [0, 1]; what lies beyond is taken for the
+        nearer end, NaN for the middle.
+    options
+        The grids.
+    strips
+        Where the work runs.
+
+    Returns
+    -------
+    (h, w, 3) float32
+        A convex combination of irradiance within `reach`; 0 where no pixel around counts.
+    """
+    if np.isnan(maps.max()):
+        maps = np.nan_to_num(maps, nan=0.5)
+    height, width = mean.shape[:2]
+    unit = _unit(options)
+    # strips of whole cells of the coarsest grid
+    units = -(-height // unit), unit * width
+    grids = [
+        _Grid(maps[scale], options, scale, strips_of(*units), strips.scratch)
+        for scale in range(options.grids)
+    ]
+
+    def construct(rows: slice) -> None:
+        own, scratch = slice(rows.start * unit, min(rows.stop * unit, height)), strips.scratch
+        light = _light(mean[own], options, scratch)
+        for grid in grids:
+            grid.construct(rows, light, maps[grid.scale, own], scratch)
+
+    strips.run(construct, *units)
+    for grid in grids:  # in order: the same sums for any number of threads
+        for above, below in pairwise(grid.parts.values()):
+            above[-1] += below[0]
+            np.copyto(below[0], above[-1])
+    image = np.empty((height, width, 3), np.float32)
+
+    def read(rows: slice) -> None:
+        own = slice(rows.start * unit, min(rows.stop * unit, height))
+        light = _blended(grids, rows, maps[:, own], strips.scratch)
+        np.copyto(image[own], light[..., :3])
+
+    strips.run(read, *units)
+    return image
+
+
+def _unit(options: BilateralGrids) -> int:
+    """Spacing of the coarsest grid, pixels."""
+    return options.spacing << (options.grids - 1)
+
+
+class _Grid:
+    """One grid of a frame, in parts: one a strip.
+
+    Parameters
+    ----------
+    guide : (h, w) float32
+    options, scale
+        Of the grid.
+    bounds
+        The strips, in units of the coarsest spacing.
+    scratch
+        Where the cells lie.
+    """
+
+    def __init__(
+        self,
+        guide: np.ndarray,
+        options: BilateralGrids,
+        scale: int,
+        bounds: list[slice],
+        scratch: Scratch,
+    ) -> None:
+        self.scale, self.spacing = scale, options.spacing << scale
+        height, width = guide.shape
+        _, columns, depth = grid_cells(height, width, options, scale)
+        self._rate = np.float32(GUIDE_RANGE / (options.depth_spacing * 2**scale))
+        self._last = np.float32(depth - 2)  # the deepest cell that is the first of two
+        # only the depths between the least and the greatest guide are kept
+        self._first, deepest = (int(self._floor(edge)) for edge in cv2.minMaxLoc(guide)[:2])
+        self._cells = (columns, deepest - self._first + 2, 4)
+        # neighbours share a row of cells, of which each has its own
+        per_unit = _unit(options) // self.spacing
+        ends = [0]
+        for rows in bounds:
+            ends.append(ends[-1] + (rows.stop - rows.start) * per_unit + 1)
+        whole = scratch.array(f"grid {scale}", (ends[-1], *self._cells))
+        #: Cells by the start of the strip, ``(rows, columns, depth, 4)``.
+        self.parts = {
+            rows.start: whole[start:stop]
+            for rows, (start, stop) in zip(bounds, pairwise(ends), strict=True)
+        }
+
+    def _floor(self, guide: float) -> np.float32:
+        place = np.float32(min(max(guide, 0), 1)) * self._rate
+        return np.minimum(np.floor(place), self._last)
+
+    def construct(
+        self, rows: slice, light: np.ndarray, guide: np.ndarray, scratch: Scratch
+    ) -> None:
+        """Splat a strip: the sums of eq. 10, before their division.
+
+        Parameters
+        ----------
+        rows
+            The strip.
+        light : (h, w, 4) float32
+            Weighted irradiance, and the weights.
+        guide : (h, w) float32
+        """
+        part = self.parts[rows.start]
+        part.fill(0)
+        at, far = self._places(guide, scratch)
+        near, deep = (scratch.array(name, far.shape) for name in ("near", "deep"))
+        self._by_phase(_as_one(light), _as_one(near))
+        np.multiply(near, far, out=deep)
+        near *= np.subtract(1, far, out=far)
+        slabs = scratch.array("slabs", (self.spacing, *self._cells))
+        cells = _as_one(slabs).reshape(-1)
+        flat, flat_slabs = (rows.reshape(*rows.shape[:2], -1) for rows in (part, slabs))
+        found = scratch.array("found", (self.spacing * at.shape[2], 4))
+        found_as_one = _as_one(found)
+        for block in range(at.shape[1] // self.spacing):
+            own = slice(block * self.spacing, (block + 1) * self.spacing)
+            slabs.fill(0)
+            for phase, weight, offset in self._sides():
+                index = at[phase, own].reshape(-1)
+                for deeper, splats in enumerate((near, deep)):
+                    here = cells[offset + deeper :]
+                    here.take(index, 0, found_as_one, "clip")
+                    cv2.scaleAdd(splats[phase, own].reshape(-1, 4), weight, found, dst=found)
+                    here[index] = found_as_one
+            above, under = flat[block], flat[block + 1]
+            for row, slab in enumerate(flat_slabs):
+                cv2.scaleAdd(slab, 1 - row / self.spacing, above, dst=above)
+                if row:
+                    cv2.scaleAdd(slab, row / self.spacing, under, dst=under)
+
+    def read(self, rows: slice, guide: np.ndarray, scratch: Scratch) -> np.ndarray:
+        """Numerators and, last, the denominator of eq. 13; the strip's cells are overwritten.
+
+        Parameters
+        ----------
+        rows
+            The strip.
+        guide : (h, w) float32
+
+        Returns
+        -------
+        (h, w, 4) float32
+        """
+        part = self.parts[rows.start]
+        # from sums to means, and 1 where a cell is not empty: empty ones have sums of exactly 0
+        columns = part.reshape(-1, *part.shape[2:])
+        filled = cv2.extractChannel(columns, 3, dst=scratch.array("filled", columns.shape[:2]))
+        np.reciprocal(np.maximum(filled, _EMPTY, out=filled), out=filled)
+        columns *= _four_times(filled, scratch)
+        at, far = self._places(guide, scratch)
+        near, deep = (scratch.array(name, far.shape) for name in ("near", "deep"))
+        near.fill(0)
+        deep.fill(0)
+        slabs = scratch.array("slabs", (self.spacing, *self._cells))
+        cells = _as_one(slabs).reshape(-1)
+        flat, flat_slabs = (rows.reshape(*rows.shape[:2], -1) for rows in (part, slabs))
+        found = scratch.array("found", (self.spacing * at.shape[2], 4))
+        found_as_one = _as_one(found)
+        for block in range(at.shape[1] // self.spacing):
+            own = slice(block * self.spacing, (block + 1) * self.spacing)
+            above, under = flat[block], flat[block + 1]
+            for row, slab in enumerate(flat_slabs):
+                below = row / self.spacing
+                cv2.addWeighted(above, 1 - below, under, below, 0, dst=slab)
+            for phase, weight, offset in self._sides():
+                index = at[phase, own].reshape(-1)
+                for deeper, light in enumerate((near, deep)):
+                    cells[offset + deeper :].take(index, 0, found_as_one, "clip")
+                    sums = light[phase, own].reshape(-1, 4)
+                    cv2.scaleAdd(found, weight, sums, dst=sums)
+        deep *= far
+        near *= np.subtract(1, far, out=far)
+        near += deep
+        sums = scratch.array("sums", (*guide.shape, 4))
+        for phase, light in enumerate(_as_one(near)):
+            target = _as_one(sums)[:, phase :: self.spacing]
+            target[...] = light[: target.shape[0], : target.shape[1]]
+        return sums
+
+    def _places(self, guide: np.ndarray, scratch: Scratch) -> tuple[np.ndarray, np.ndarray]:
+        """Where the pixels of a strip lie in the slabs of their rows (eq. 12).
+
+        Returns
+        -------
+        at : (s, rows, columns) intp
+            Flat index of the first of the four cells around each pixel of blocks of s columns, by
+            the pixel's place in its block.
+        far : (s, rows, columns, 4) float32
+            How far the pixel is on its way to the next cell in depth, [0, 1], four times.
+        """
+        columns, depth, _ = self._cells
+        shape = (self.spacing, -(-len(guide) // self.spacing) * self.spacing, columns - 1)
+        place, floor = scratch.array("place", shape), scratch.array("floor", shape)
+        self._by_phase(guide, place)
+        np.clip(place, 0, 1, out=place)
+        place *= self._rate
+        np.floor(place, out=floor)
+        np.minimum(floor, self._last, out=floor)
+        place -= floor
+        # pixels beyond the frame count nothing, but need a place
+        np.maximum(floor, np.float32(self._first), out=floor)
+        at = scratch.array("at", shape, np.intp)
+        np.copyto(at, floor, casting="unsafe")
+        row = np.arange(shape[1])[:, None] % self.spacing
+        at += (row * columns + np.arange(columns - 1)) * depth - self._first
+        return at, _four_times(place, scratch)
+
+    def _sides(self) -> Iterator[tuple[int, float, int]]:
+        """Of every place in a block: weights and offsets of the cells to its left and right."""
+        for phase in range(self.spacing):
+            yield phase, 1 - phase / self.spacing, 0
+            if phase:
+                yield phase, phase / self.spacing, self._cells[1]
+
+    def _by_phase(self, image: np.ndarray, out: np.ndarray) -> None:
+        """``(h, w)`` into ``(s, rows, columns)``, padded with zeros."""
+        out.fill(0)
+        for phase, target in enumerate(out):
+            part = image[:, phase :: self.spacing]
+            target[: part.shape[0], : part.shape[1]] = part
+
+
+def _blended(grids: Sequence[_Grid], rows: slice, maps: np.ndarray, scratch: Scratch) -> np.ndarray:
+    """The grids' strips, divided (eq. 13) and weighed (eq. 15): ``(h, w, 4)``, the last is 1."""
+    shape = maps.shape[1:]
+    total = scratch.array("total", (*shape, 4))
+    total.fill(0)
+    factor, rest = scratch.array("factor", shape), scratch.array("rest", shape)
+    rest.fill(1)
+    for grid in grids:
+        sums = grid.read(rows, maps[grid.scale], scratch)
+        if grid is grids[-1]:
+            np.copyto(factor, rest)
+        else:
+            share = maps[len(grids) + grid.scale]
+            np.multiply(rest, np.clip(share, 0, 1, out=factor), out=factor)
+            rest -= factor
+        found = cv2.extractChannel(sums, 3, dst=scratch.array("weight", shape))
+        factor /= np.maximum(found, _EMPTY, out=found)
+        cv2.accumulateProduct(sums, _four_times(factor, scratch), total)
+    return total
+
+
+def _light(mean: np.ndarray, options: BilateralGrids, scratch: Scratch) -> np.ndarray:
+    """Irradiance times its weight, and the weight: ``(h, w, 4)``."""
+    weights = scratch.array("weights", mean.shape)
+    light = scratch.array("light", mean.shape)
+    if not options.weigh_samples:
+        np.copyto(light, mean)
+        light[..., 3] = 1
+        return light
+    samples = cv2.extractChannel(mean, 3)
+    cv2.merge([samples, samples, samples, np.ones_like(samples)], dst=weights)
+    return np.multiply(mean, weights, out=light)
+
+
+def _four_times(plane: np.ndarray, scratch: Scratch) -> np.ndarray:
+    """The same value for each channel: ``(..., 4)``."""
+    out = scratch.array("four", (*plane.shape, 4))
+    flat = plane.reshape(-1, plane.shape[-1])
+    cv2.merge([flat] * 4, dst=out.reshape(*flat.shape, 4))
+    return out
+
+
+def _as_one(image: np.ndarray) -> np.ndarray:
+    """``(..., 4)`` float32 as ``(...)`` elements of four channels."""
+    return image.view(_FOUR)[..., 0]

@@ -1,0 +1,195 @@
+"""Reconstruction with fused weight-sharing kernels (Fan et al. 2021, section 4.2).
+
+Kernels are never built. Their softmax over a shared importance map (eq. 3, 4) is a ratio of two
+box sums, ``sum(exp(I) r) / sum(exp(I))``, and a box sum is separable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import cv2
+import numpy as np
+
+from stillray.arrays.strips import Strips, interleave, planes_of, with_halo
+from stillray.arrays.workspace import Scratch
+from stillray.families.depth_to_space import Blocks
+from stillray.model_spec.loader import FusedKernels, ImportanceNetwork, ModelSpec
+from stillray.stages.prepare import Prepared
+from stillray.timing import timed_pass
+
+
+def reconstruct(
+    prepared: Prepared,
+    previous: np.ndarray | None,
+    outputs: Sequence[np.ndarray],
+    spec: ModelSpec,
+    strips: Strips,
+    timings: dict[str, float],
+) -> np.ndarray:
+    """Filter and re-modulate a frame, see `stillray.families.registry.Family`."""
+    options = spec.decoder
+    assert isinstance(options, FusedKernels)
+    assert isinstance(spec.network, ImportanceNetwork)
+    (logits,) = outputs
+    blocks = Blocks(logits, strips) if spec.network.block > 1 else None
+    mean, by = prepared.history.mean, prepared.modulator
+    height, width = mean.shape[:2]
+    image = np.empty((height, width, 3), np.float32)
+    halo = reach(spec)
+    with timed_pass(timings) as part:
+
+        def work(rows: slice) -> None:
+            near, own = with_halo(rows, halo, height)
+            with part("reconstruct"):
+                given = logits[:, near] if blocks is None else blocks.near(near, width)
+                filter_rows(mean[near], given, own, options, image[rows], strips.scratch)
+            if by is not None:
+                with part("modulate"):
+                    image[rows] *= by[rows]
+
+        strips.run(work, height, width)
+    return image
+
+
+def reach(spec: ModelSpec) -> int:
+    """Pixels that the largest kernel looks to each side."""
+    assert isinstance(spec.decoder, FusedKernels)
+    return max(spec.decoder.kernel_sizes) // 2
+
+
+def multiple(spec: ModelSpec) -> int:
+    """Height and width of the network's input must be multiples of this, pixels."""
+    assert isinstance(spec.network, ImportanceNetwork)
+    return spec.network.block
+
+
+def receptive_field(spec: ModelSpec) -> int:
+    """Pixels that one output of the network looks to each side."""
+    network = spec.network
+    assert isinstance(network, ImportanceNetwork)
+    # and a pixel lies anywhere in its block
+    return network.block * sum(size // 2 for size in network.kernel_sizes) + network.block - 1
+
+
+def method(spec: ModelSpec) -> str:
+    """What the reconstruction does, in a few words."""
+    assert isinstance(spec.decoder, FusedKernels)
+    return f"{len(spec.decoder.kernel_sizes)} fused kernels"
+
+
+def filter_rows(
+    mean: np.ndarray,
+    logits: np.ndarray | Blocks,
+    inner: slice,
+    options: FusedKernels,
+    out: np.ndarray | None = None,
+    scratch: Scratch | None = None,
+) -> np.ndarray:
+    """Filter an image, or a strip of one with its neighbouring rows.
+
+    Parameters
+    ----------
+    mean : (h, w, 4) float32
+        Irradiance, which is filtered, >= 0 and finite; and the samples that each pixel holds,
+        > 0, which multiply its importance when the spec says so.
+    logits : (2 m, h, w) float32
+        m importance maps and m fusion maps, as the network gives them; any values. Where there
+        are fewer kernel sizes than m, the other maps are not looked at.
+    inner
+        The rows of the result; the others only lend their pixels.
+    out : (rows, w, 3) float32, optional
+        Written and returned.
+    scratch
+        Where temporaries lie, if given.
+
+    Returns
+    -------
+    (rows, w, 3) float32
+        ``sum_i alpha_i R_i``, eq. 5: a convex combination of irradiance in each window. Windows
+        end at the border of the image, as if zero importance lay outside.
+    """
+    scratch = scratch or Scratch()
+    if out is None:
+        out = np.empty((inner.stop - inner.start, mean.shape[1], 3), np.float32)
+    interleave(filter_planes(mean, logits, inner, options, scratch), out=out)
+    if np.isnan(out.max()):  # a NaN logit says nothing: 0
+        maps = logits[slice(0, len(logits)), slice(0, len(mean))]
+        return filter_rows(mean, np.nan_to_num(maps, nan=0.0), inner, options, out, scratch)
+    return out
+
+
+def filter_planes(
+    mean: np.ndarray,
+    logits: np.ndarray | Blocks,
+    inner: slice,
+    options: FusedKernels,
+    scratch: Scratch,
+) -> np.ndarray:
+    """`filter_rows` as planes ``(3, rows, w)``, in the scratch; without a look for NaN logits.
+
+    The last of an odd number of logits is not looked at.
+    """
+    # fewer kernels than maps: the first ones
+    count, (height, width) = len(logits) // 2, mean.shape[:2]
+    shape = inner.stop - inner.start, width
+    *planes, samples = planes_of(mean, out=scratch.array("mean", (4, height, width)))
+    total, alpha_sum = scratch.array("total", (3, *shape)), scratch.array("alpha_sum", shape)
+    share = scratch.array("share", shape)
+    total.fill(0)
+    alpha_sum.fill(0)
+    for index, size in enumerate(options.kernel_sizes):
+        rows, own = with_halo(inner, size // 2, height)
+        strip = rows.stop - rows.start, width
+        importance, product, box = (
+            scratch.array(name, strip) for name in ("importance", "product", "box")
+        )
+        bounded_exp(logits[index, rows], options.logit_bound, importance)
+        if options.weigh_samples:
+            importance *= samples[rows]
+        bounded_exp(logits[count + index, inner], options.logit_bound, share)
+        alpha_sum += share
+        share /= box_means(importance, size, box)[own]
+        for plane, sums in zip(planes, total, strict=True):
+            np.multiply(importance, plane[rows], out=product)
+            cv2.accumulateProduct(box_means(product, size, box)[own], share, sums)
+    total /= alpha_sum
+    return total
+
+
+def box_means(plane: np.ndarray, size: int, out: np.ndarray) -> np.ndarray:
+    """Means over windows of ``size`` x ``size``, zeros outside; written to ``out``, which returns.
+
+    Means and not sums, so that those of large radiance stay finite. Each window is added anew:
+    running sums, as ``cv2.boxFilter`` has them, keep a residue of every firefly that has passed,
+    which drowns darker windows (and are no faster here).
+    """
+    kernel = _mean_kernel(size)
+    border = cv2.BORDER_CONSTANT
+    return cv2.sepFilter2D(plane, cv2.CV_32F, kernel, kernel, dst=out, borderType=border)
+
+
+@cache
+def _mean_kernel(size: int) -> np.ndarray:
+    return np.full(size, 1 / size, np.float32)
+
+
+def bounded_exp(logits: np.ndarray, bound: float, out: np.ndarray) -> None:
+    """``exp`` of logits clipped to ``bound``.
+
+    Bounded logits need no maximum subtracted: ``exp`` stays within e^-bound .. e^bound.
+
+    Parameters
+    ----------
+    logits : (h, w) float32
+        Any values; a NaN gives NaN.
+    bound
+        The largest magnitude of a logit.
+    out : (h, w) float32
+        Written.
+    """
+    # finding the largest takes a third of the time of clipping; NaN is not within the bound
+    if not cv2.norm(logits, cv2.NORM_INF) <= bound:
+        logits = np.clip(logits, np.float32(-bound), np.float32(bound), out=out)
+    cv2.exp(logits, dst=out)

@@ -1,0 +1,454 @@
+"""Reconstruction with shared-weight kernels at several resolutions.
+
+differs: Fan et al. 2021, section 5.2, blend a U-Net's resolutions by eq. 7. Here the weights of a
+coarser level come from the finer one, the blend is one softmax over what a pixel can take (itself,
+its kernels, its neighbours, the coarser level, which is doubled by shares of the network's own),
+and the re-modulated result is resolved with its neighbours and the previous output, which smooths
+edges as supersampling would and holds the picture still. Every step is a convex combination: no
+light is invented.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from stillray.arrays.resample import halve
+from stillray.arrays.strips import Strips, interleave, planes_of, with_halo
+from stillray.arrays.workspace import Scratch
+from stillray.families.box_filter import bounded_exp, box_means
+from stillray.families.depth_to_space import Blocks
+from stillray.families.pyramid_logits import NEIGHBOURS, LevelLayout, level_layout
+from stillray.families.pyramid_upsample import Doubled
+from stillray.model_spec.loader import ModelSpec, PyramidKernels, PyramidNetwork
+from stillray.stages.prepare import Prepared
+from stillray.timing import timed
+
+
+def multiple(spec: ModelSpec) -> int:
+    """Height and width of the network's input must be multiples of this, pixels."""
+    assert isinstance(spec.network, PyramidNetwork)
+    return 1 << (spec.network.resolutions - 1)
+
+
+def reach(spec: ModelSpec) -> int:
+    """Pixels from which light can come to a pixel, to each side."""
+    assert isinstance(spec.decoder, PyramidKernels)
+    coarsest = multiple(spec)
+    # doubling looks into the neighbouring cell: 1.5 cells of every level above the finest,
+    # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, and the resolve
+    radius = max(max(spec.decoder.kernel_sizes) // 2, int(spec.decoder.predicted))
+    return 3 * (coarsest - 1) + radius * coarsest + 1
+
+
+def receptive_field(spec: ModelSpec) -> int:
+    """Pixels that one output of the network looks to each side."""
+    network = spec.network
+    assert isinstance(network, PyramidNetwork)
+    radius = network.kernel_size // 2
+    coarsest = len(network.widths) - 1
+    # the longest way goes through the coarsest level: every convolution counts in its own pixels
+    entries = radius + sum(radius << (level - 1) for level in range(1, coarsest + 1))
+    down = sum(radius * count << level for level, count in enumerate(network.encoder_blocks))
+    up = sum(radius * count << level for level, count in enumerate(network.decoder_blocks))
+    # doubled pixels lie up to one coarser pixel off, and a pixel anywhere in its block
+    way = entries + down + up + radius + (1 << coarsest)
+    return network.block * way + network.block - 1
+
+
+def method(spec: ModelSpec) -> str:
+    """What the reconstruction does, in a few words."""
+    assert isinstance(spec.network, PyramidNetwork)
+    return f"kernels at {spec.network.resolutions} resolutions, resolved with the last output"
+
+
+def reconstruct(
+    prepared: Prepared,
+    previous: np.ndarray | None,
+    outputs: Sequence[np.ndarray],
+    spec: ModelSpec,
+    strips: Strips,
+    timings: dict[str, float],
+) -> np.ndarray:
+    """Filter, re-modulate and resolve a frame, see `stillray.families.registry.Family`."""
+    assert isinstance(spec.decoder, PyramidKernels)
+    with timed(timings, "reconstruct"):
+        return filter_pyramid(
+            prepared.history.mean,
+            prepared.sample,
+            prepared.modulator,
+            previous,
+            outputs,
+            spec.decoder,
+            strips,
+        )
+
+
+def filter_pyramid(
+    mean: np.ndarray,
+    sample: np.ndarray | None,
+    divisor: np.ndarray | None,
+    previous: np.ndarray | None,
+    logits: Sequence[np.ndarray],
+    options: PyramidKernels,
+    strips: Strips,
+) -> np.ndarray:
+    """Filter, re-modulate and resolve a frame.
+
+    Parameters
+    ----------
+    mean : (h, w, 4) float32
+        Irradiance, >= 0 and finite; and the samples that each pixel holds, > 0.
+    sample : (4, h, w) float32 or None
+        This frame's irradiance and what its samples are worth, > 0; None for that of ``mean``.
+    divisor : (h, w, 3) float32 or None
+        What the result is multiplied by.
+    previous : (h, w, 4) float32 or None
+        Radiance of the previous output at these pixels, and how much of it is valid, [0, 1].
+    logits
+        One ``(planes, H, W)`` map a level, finest first, of the frame's size rounded up to
+        `multiple`; any values. The frame's last row and column are repeated to that size. The
+        finest may come as `Blocks`, told by having the size of the next.
+    options
+        Kernel sizes and the bound of the logits.
+    strips
+        Where the work runs.
+
+    Returns
+    -------
+    (h, w, 3) float32
+        Radiance: for every pixel a convex combination of the irradiance around it, accumulated
+        and new, times the divisors of its 3x3 neighbours, and of the previous output.
+    """
+    image = _filtered(mean, sample, divisor, previous, logits, options, strips)
+    # A logit that is not a number says nothing: 0. It shows in the image, which is a fifth of the
+    # logits to look through.
+    if np.isnan(image.max()) and any(np.isnan(level.max()) for level in logits):
+        logits = [np.nan_to_num(level, nan=0.0) for level in logits]
+        image = _filtered(mean, sample, divisor, previous, logits, options, strips)
+    return image
+
+
+def _filtered(
+    mean: np.ndarray,
+    sample: np.ndarray | None,
+    divisor: np.ndarray | None,
+    previous: np.ndarray | None,
+    logits: Sequence[np.ndarray],
+    options: PyramidKernels,
+    strips: Strips,
+) -> np.ndarray:
+    height, width = mean.shape[:2]
+    levels = len(logits)
+    maps: list[np.ndarray | Blocks] = list(logits)
+    if levels > 1 and logits[0].shape[1:] == logits[1].shape[1:]:
+        maps[0] = Blocks(logits[0], strips)
+    full = (*maps[0].shape[1:], 4)
+    bottom, right = full[0] - mean.shape[0], full[1] - mean.shape[1]
+    if bottom or right:
+        mean = _extended(mean, bottom, right, strips.scratch.array("extended", full))
+        if sample is not None:
+            planes = strips.scratch.array("extended sample", (4, *full[:2]))
+            for plane, target in zip(sample, planes, strict=True):
+                _extended(plane, bottom, right, target)
+            sample = planes
+    finest = level_layout(0, levels, options)
+    pyramid = [_renewed(mean, sample, maps[0], finest.renew, options, strips)]
+    for level in range(levels - 1):
+        pool = level_layout(level, levels, options).pool
+        # levels lie in the scratch of this thread from frame to frame
+        coarse = strips.scratch.array(
+            f"pyramid {level + 1}", (4, *(size // 2 for size in pyramid[-1].shape[1:]))
+        )
+        _pool(pyramid[-1], maps[level], pool, options, strips, coarse)
+        pyramid.append(coarse)
+    coarser: Doubled | None = None
+    for level in reversed(range(1, levels)):
+        layout = level_layout(level, levels, options)
+        padded = (3, *(size + 2 for size in pyramid[level].shape[1:]))
+        light = strips.scratch.array(f"blended {level}", padded)
+        _blended(pyramid[level], coarser, maps[level], layout, options, strips, light)
+        coarser = Doubled(light, logits[level][layout.double], options)
+    image = np.empty((height, width, 3), np.float32)
+
+    def finish(rows: slice) -> None:
+        # the resolve looks one pixel around; at the border of the frame that is repeated
+        around, inner = with_halo(rows, 1, height)
+        count = rows.stop - rows.start
+        padded = strips.scratch.array("padded", (3, count + 2, mean.shape[1] + 2))
+        top = 1 - inner.start
+        filled = slice(top, top + around.stop - around.start)
+        _blend(
+            around,
+            pyramid[0],
+            coarser,
+            maps[0],
+            finest,
+            options,
+            padded[:, filled, 1:-1],
+            strips.scratch,
+        )
+        if divisor is not None:
+            by = strips.scratch.array("by", (3, around.stop - around.start, width))
+            padded[:, filled, 1 : 1 + width] *= planes_of(divisor[around], out=by)
+        padded = padded[:, :, : width + 2]
+        _repeat_border(padded, top=rows.start == 0, bottom=rows.stop == height)
+        past = None if previous is None else previous[rows]
+        resolve = maps[0][finest.resolve, rows][..., :width]
+        _resolve(padded, resolve, past, options, image[rows], strips.scratch)
+
+    strips.run(finish, height, width)
+    return image
+
+
+def _extended(image: np.ndarray, bottom: int, right: int, out: np.ndarray) -> np.ndarray:
+    """An image with its last row and column repeated."""
+    return cv2.copyMakeBorder(image, 0, bottom, 0, right, cv2.BORDER_REPLICATE, dst=out)
+
+
+def _renewed(
+    mean: np.ndarray,
+    sample: np.ndarray | None,
+    logits: np.ndarray | Blocks,
+    renew: slice,
+    options: PyramidKernels,
+    strips: Strips,
+) -> np.ndarray:
+    """Light and samples as ``(4, h, w)``: what was accumulated, with more of the new sample.
+
+    A past that no longer holds (a mirror's picture moves otherwise than the mirror, a shadow
+    passes over a surface that stays) is known to the network, not to the geometry.
+    """
+    planes = strips.scratch.array("pyramid 0", (4, *mean.shape[:2]))
+
+    def work(rows: slice) -> None:
+        scratch = strips.scratch
+        shape = (rows.stop - rows.start, mean.shape[1])
+        past = planes_of(mean[rows], out=scratch.array("mean", (4, *shape)))
+        if sample is None:
+            planes[:, rows] = past
+            return
+        new = sample[:, rows]
+        more, total = scratch.array("more", shape), scratch.array("total", shape)
+        bounded_exp(logits[renew, rows][0], options.logit_bound, more)
+        held = np.add(more, 1, out=scratch.array("held", shape))
+        more *= new[3]
+        np.add(past[3], more, out=total)
+        np.divide(total, held, out=planes[3, rows])
+        more /= total
+        rest = np.divide(past[3], total, out=total)
+        # two products, since a difference would cancel where a firefly meets a dark past
+        for light, fresh, target in zip(past, new, planes[:3, rows], strict=False):
+            np.multiply(light, rest, out=target)
+            cv2.accumulateProduct(fresh, more, target)
+
+    strips.run(work, *mean.shape[:2])
+    return planes
+
+
+def _pool(
+    fine: np.ndarray,
+    logits: np.ndarray | Blocks,
+    pool: slice,
+    options: PyramidKernels,
+    strips: Strips,
+    coarse: np.ndarray,
+) -> None:
+    """The next coarser level of ``(4, h, w)`` light and samples: weighted means of 2x2 blocks."""
+    height, width = coarse.shape[1:]
+
+    def work(rows: slice) -> None:
+        scratch = strips.scratch
+        source = slice(2 * rows.start, 2 * rows.stop)
+        shape = (source.stop - source.start, 2 * width)
+        weight, product = scratch.array("weight", shape), scratch.array("product", shape)
+        bounded_exp(logits[pool, source][0], options.logit_bound, weight)
+        total = halve(weight)
+        weight *= fine[3, source]
+        held = halve(weight)
+        np.divide(held, total, out=coarse[3, rows])
+        np.reciprocal(held, out=held)
+        for channel in range(3):
+            np.multiply(weight, fine[channel, source], out=product)
+            np.multiply(halve(product), held, out=coarse[channel, rows])
+
+    strips.run(work, height, width)
+
+
+def _blended(
+    planes: np.ndarray,
+    coarser: Doubled | None,
+    logits: np.ndarray | Blocks,
+    layout: LevelLayout,
+    options: PyramidKernels,
+    strips: Strips,
+    result: np.ndarray,
+) -> None:
+    """A whole level with its border repeated, ``(3, h + 2, w + 2)``."""
+    height, width = planes.shape[1:]
+    inner = result[:, 1:-1, 1:-1]
+
+    def work(rows: slice) -> None:
+        _blend(rows, planes, coarser, logits, layout, options, inner[:, rows], strips.scratch)
+
+    strips.run(work, height, width)
+    _repeat_border(result, top=True, bottom=True)
+
+
+def _blend(
+    rows: slice,
+    planes: np.ndarray,
+    coarser: Doubled | None,
+    logits: np.ndarray | Blocks,
+    layout: LevelLayout,
+    options: PyramidKernels,
+    out: np.ndarray,
+    scratch: Scratch,
+) -> None:
+    """Rows of a level: itself, its kernels and the coarser level, by their shares.
+
+    Parameters
+    ----------
+    rows
+        Which rows of the level.
+    planes : (4, h, w) float32
+        Light and samples of the whole level.
+    coarser
+        The whole coarser level; None at the coarsest.
+    logits : (planes, h, w) float32
+    layout, options
+        Of the logits.
+    out : (3, rows, w) float32
+        Written.
+    scratch
+        Where temporaries lie.
+    """
+    height, width = planes.shape[1:]
+    shape = (rows.stop - rows.start, width)
+    maps = logits[layout.blend, rows]
+    shares = scratch.array("shares", maps.shape)
+    for logit, share in zip(maps, shares, strict=True):
+        bounded_exp(logit, options.logit_bound, share)
+    others = list(shares)
+    if coarser is None:  # itself at logit 0, then the kernels
+        light = scratch.array("light", (3, *shape))
+        np.copyto(light, planes[:3, rows])
+    else:  # the coarser level at logit 0, then itself, then the kernels
+        light = coarser.rows(rows, scratch)
+        own = others.pop(0)
+        # A sample that is worth less than one counts as little for its own pixel. A lone firefly
+        # of a first frame lifted one of kpyr-5s 7.4 times, and now does 2.2 times.
+        own *= np.minimum(planes[3, rows], 1, out=scratch.array("worth", shape))
+        for plane, sums in zip(planes, light, strict=False):
+            cv2.accumulateProduct(plane[rows], own, sums)
+    normal = scratch.array("normal", shape)
+    np.add(shares[0], 1, out=normal)
+    for share in shares[1:]:
+        normal += share
+    # none where the finest level has no kernels
+    for index, (size, share) in enumerate(zip(options.kernel_sizes, others, strict=False)):
+        near, inner = with_halo(rows, size // 2, height)
+        strip = (near.stop - near.start, width)
+        weight, product, box = (scratch.array(name, strip) for name in ("weight", "product", "box"))
+        importance = slice(index, index + 1)
+        bounded_exp(logits[importance, near][0], options.logit_bound, weight)
+        weight *= planes[3, near]
+        share /= box_means(weight, size, box)[inner]
+        for plane, sums in zip(planes, light, strict=False):
+            np.multiply(weight, plane[near], out=product)
+            cv2.accumulateProduct(box_means(product, size, box)[inner], share, sums)
+    if layout.around.stop > layout.around.start:
+        maps = logits[layout.around, rows]
+        weights = scratch.array("weights", maps.shape)
+        for logit, weight in zip(maps, weights, strict=True):
+            bounded_exp(logit, options.logit_bound, weight)
+            normal += weight
+        _add_neighbours(_padded(planes[:3], rows, scratch), weights, light)
+    np.multiply(light, np.reciprocal(normal, out=normal), out=out)
+
+
+def _padded(planes: np.ndarray, rows: slice, scratch: Scratch) -> np.ndarray:
+    """Rows of ``(3, h, w)`` with one pixel more on each side, repeated at the border."""
+    near, inner = with_halo(rows, 1, planes.shape[1])
+    count, width = rows.stop - rows.start, planes.shape[2]
+    padded = scratch.array("neighbours", (3, count + 2, width + 2))
+    top = 1 - inner.start
+    padded[:, top : top + near.stop - near.start, 1:-1] = planes[:, near]
+    _repeat_border(padded, top=near.start == rows.start, bottom=near.stop == rows.stop)
+    return padded
+
+
+def _repeat_border(padded: np.ndarray, *, top: bool, bottom: bool) -> None:
+    """Fill the outermost pixels of ``(3, h + 2, w + 2)``: left, right, and where asked for."""
+    padded[..., 0], padded[..., -1] = padded[..., 1], padded[..., -2]
+    if top:
+        padded[:, 0] = padded[:, 1]
+    if bottom:
+        padded[:, -1] = padded[:, -2]
+
+
+def _add_neighbours(padded: np.ndarray, weights: np.ndarray, sums: np.ndarray) -> None:
+    """Add the eight neighbours, each by its weight, to ``(3, h, w)``.
+
+    Parameters
+    ----------
+    padded : (3, h + 2, w + 2) float32
+        With one pixel more on each side.
+    weights : (8, h, w) float32
+        In the order of `NEIGHBOURS`.
+    sums : (3, h, w) float32
+        Added to.
+    """
+    height, width = weights.shape[1:]
+    for plane, total in zip(padded, sums, strict=True):
+        for weight, (down, right) in zip(weights, NEIGHBOURS, strict=True):
+            moved = plane[1 + down :, 1 + right :][:height, :width]
+            cv2.accumulateProduct(moved, weight, total)
+
+
+def _resolve(
+    padded: np.ndarray,
+    logits: np.ndarray,
+    previous: np.ndarray | None,
+    options: PyramidKernels,
+    out: np.ndarray,
+    scratch: Scratch,
+) -> None:
+    """Average pixels with their neighbours and the previous output.
+
+    Parameters
+    ----------
+    padded : (3, h + 2, w + 2) float32
+        Radiance, with one pixel more on each side.
+    logits : (9, h, w) float32
+        Of the neighbours and the previous output.
+    previous : (h, w, 4) float32 or None
+        The previous output, and how much of it is valid.
+    out : (h, w, 3) float32
+        Written.
+    """
+    height, width = out.shape[:2]
+    weights = scratch.array("weights", logits.shape)
+    for logit, weight in zip(logits, weights, strict=True):
+        bounded_exp(logit, options.logit_bound, weight)
+    normal = scratch.array("normal", (height, width))
+    np.add(weights[0], weights[1], out=normal)
+    for weight in weights[2:-1]:
+        normal += weight
+    normal += 1
+    past: np.ndarray | None = None
+    if previous is not None:
+        past = planes_of(previous, out=scratch.array("past", (4, height, width)))
+        weights[-1] *= past[3]
+        normal += weights[-1]
+    np.reciprocal(normal, out=normal)
+    resolved = scratch.array("resolved", (3, height, width))
+    np.copyto(resolved, padded[:, 1:-1, 1:-1])
+    _add_neighbours(padded, weights[: len(NEIGHBOURS)], resolved)
+    if past is not None:
+        for plane, total in zip(past, resolved, strict=False):
+            cv2.accumulateProduct(plane, weights[-1], total)
+    resolved *= normal
+    interleave(resolved, out=out)

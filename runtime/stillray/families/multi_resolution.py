@@ -1,0 +1,284 @@
+"""Reconstruction with fused shared-weight kernels at several resolutions (Fan et al. 2021, 5.2).
+
+Every resolution is filtered as `stillray.families.box_filter` does it, then they are blended from
+the coarsest to the finest: a share of a block's own mean gives way to the coarser level,
+
+    o = f - a U D f + a U c    (eq. 7)
+
+with f the fine level, c the coarser, D the mean of 2x2 blocks and U their repetition.
+
+differs: eq. 7 can leave the range of what it blends, below zero even, where a bright pixel lies
+beside dark ones. The result is limited to the range of the block and of the coarser level, so that
+no light is invented. Coarser levels hold means weighted by samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import cv2
+import numpy as np
+
+from stillray.arrays.resample import double, halve
+from stillray.arrays.strips import Strips, interleave, planes_of, with_halo
+from stillray.arrays.workspace import Scratch
+from stillray.families.box_filter import bounded_exp, filter_planes
+from stillray.families.kernel_pyramid import multiple
+from stillray.model_spec.loader import FusedKernels, ModelSpec, PyramidNetwork
+from stillray.stages.prepare import Prepared
+from stillray.timing import timed, timed_pass
+
+#: How a level is filtered, as `stillray.families.box_filter.filter_planes`: mean, logits (its own
+#: first, then perhaps the blend's), rows and options to planes ``(3, rows, w)`` in the scratch.
+LevelFilter = Callable[[np.ndarray, np.ndarray, slice, FusedKernels, Scratch], np.ndarray]
+
+
+def level_planes(level: int, levels: int, options: FusedKernels) -> int:
+    """Planes that the network gives at a level, 0 being the finest.
+
+    An importance map a kernel, a fusion map a kernel, and, but at the coarsest, the logit of the
+    blend with the coarser level.
+    """
+    return 2 * len(options.kernel_sizes) + (0 if level == levels - 1 else 1)
+
+
+def reach(spec: ModelSpec) -> int:
+    """Pixels from which light can come to a pixel, to each side."""
+    assert isinstance(spec.decoder, FusedKernels)
+    coarsest = multiple(spec)
+    # from the far side of its own cell of the coarsest level to the far side of the window
+    return max(spec.decoder.kernel_sizes) // 2 * coarsest + coarsest - 1
+
+
+def method(spec: ModelSpec) -> str:
+    """What the reconstruction does, in a few words."""
+    assert isinstance(spec.network, PyramidNetwork)
+    assert isinstance(spec.decoder, FusedKernels)
+    kernels, levels = len(spec.decoder.kernel_sizes), spec.network.resolutions
+    return f"{kernels} fused kernels at each of {levels} resolutions"
+
+
+def reconstruct(
+    prepared: Prepared,
+    previous: np.ndarray | None,
+    outputs: Sequence[np.ndarray],
+    spec: ModelSpec,
+    strips: Strips,
+    timings: dict[str, float],
+    level_filter: LevelFilter = filter_planes,
+) -> np.ndarray:
+    """Filter and re-modulate a frame, see `stillray.families.registry.Family`.
+
+    Parameters
+    ----------
+    outputs
+        One ``(planes, H, W)`` map a level, finest first, see `level_planes`, of the frame's size
+        rounded up to `multiple`; any values. The frame's last row and column are repeated to that
+        size. After them, perhaps, what `settle` found.
+    level_filter
+        How a level is filtered, from as far as the largest of the kernel sizes reaches.
+    """
+    image = _reconstructed(prepared, outputs, spec, strips, timings, level_filter)
+    # a NaN logit says nothing: 0
+    if np.isnan(image.max()) and any(np.isnan(level.max()) for level in outputs):
+        return _reconstructed(prepared, _numbers(outputs), spec, strips, timings, level_filter)
+    return image
+
+
+def settle(
+    prepared: Prepared, outputs: Sequence[np.ndarray], spec: ModelSpec, strips: Strips
+) -> list[np.ndarray]:
+    """Outputs by which other layers are filtered as the frame's light was.
+
+    How far a blend goes is limited by the light that it meets. Layers add up to the beauty only
+    if they go as far as the beauty did, whatever they meet themselves.
+
+    Returns
+    -------
+    list of arrays
+        The outputs, then how far each level but the coarsest gave way, ``(3, H, W)``, finest first.
+    """
+    options = spec.decoder
+    assert isinstance(options, FusedKernels)
+    outputs = _numbers(outputs)
+    means = _resolutions(prepared.history.mean, outputs, options, strips)
+    coarser = _level(means[-1], None, outputs[-1], None, options, strips)
+    found = []
+    for mean, maps in reversed(list(zip(means[:-1], outputs[:-1], strict=True))):
+        fine = _level(mean, None, maps, None, options, strips)
+        steps = np.stack([double(_step(*planes)) for planes in zip(fine, coarser, strict=True)])
+        coarser = _level(mean, coarser, maps, None, options, strips)
+        shares = np.zeros_like(fine)
+        np.divide(coarser - fine, steps, out=shares, where=steps != 0)
+        found.append(np.clip(shares, 0, 1, out=shares))
+    return [*outputs, *reversed(found)]
+
+
+def _reconstructed(
+    prepared: Prepared,
+    outputs: Sequence[np.ndarray],
+    spec: ModelSpec,
+    strips: Strips,
+    timings: dict[str, float],
+    level_filter: LevelFilter,
+) -> np.ndarray:
+    options, network = spec.decoder, spec.network
+    assert isinstance(options, FusedKernels)
+    assert isinstance(network, PyramidNetwork)
+    levels = len(network.widths)
+    logits = outputs[:levels]
+    settled = [*outputs[levels:], None] if len(outputs) > levels else [None] * levels
+    height, width = prepared.history.mean.shape[:2]
+    image, by = np.empty((height, width, 3), np.float32), prepared.modulator
+    coarser: np.ndarray | None = None
+    with timed(timings, "reconstruct"):
+        means = _resolutions(prepared.history.mean, logits, options, strips)
+        for level in reversed(range(1, levels)):
+            coarser = _level(
+                means[level], coarser, logits[level], settled[level], options, strips, level_filter
+            )
+    with timed_pass(timings) as part:
+
+        def work(blocks: slice) -> None:
+            rows = slice(2 * blocks.start, 2 * blocks.stop)
+            inside = slice(rows.start, min(rows.stop, height))
+            with part("reconstruct"):
+                planes = _rows(
+                    means[0], coarser, logits[0], settled[0], rows, options, strips.scratch,
+                    level_filter,
+                )  # fmt: skip
+                interleave(planes[:, : inside.stop - inside.start, :width], out=image[inside])
+            if by is not None:
+                with part("modulate"):
+                    image[inside] *= by[inside]
+
+        strips.run(work, -(-height // 2), 2 * means[0].shape[1])
+    return image
+
+
+def _resolutions(
+    mean: np.ndarray, logits: Sequence[np.ndarray], options: FusedKernels, strips: Strips
+) -> list[np.ndarray]:
+    """Light and samples of each level, ``(h, w, 4)``, finest first: weighted means of blocks."""
+    height, width = logits[0].shape[1:]
+    bottom, right = height - mean.shape[0], width - mean.shape[1]
+    if bottom or right:
+        mean = cv2.copyMakeBorder(mean, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
+    means = [mean]
+    for level in logits[1:]:
+        means.append(_halved(means[-1], level.shape[1:], options, strips))
+    return means
+
+
+def _halved(
+    fine: np.ndarray, shape: tuple[int, ...], options: FusedKernels, strips: Strips
+) -> np.ndarray:
+    height, width = shape
+    coarse = np.empty((height, width, 4), np.float32)
+
+    def work(rows: slice) -> None:
+        scratch = strips.scratch
+        source = fine[2 * rows.start : 2 * rows.stop]
+        planes = planes_of(source, out=scratch.array("mean", (4, *source.shape[:2])))
+        made = scratch.array("made", (4, rows.stop - rows.start, width))
+        held = halve(planes[3], out=made[3])
+        for plane, half in zip(planes[:3], made, strict=False):
+            if options.weigh_samples:
+                plane *= planes[3]
+            halve(plane, out=half)
+            if options.weigh_samples:
+                half /= held
+        interleave(made, out=coarse[rows])
+
+    strips.run(work, height, width)
+    return coarse
+
+
+def _level(
+    mean: np.ndarray,
+    coarser: np.ndarray | None,
+    logits: np.ndarray,
+    settled: np.ndarray | None,
+    options: FusedKernels,
+    strips: Strips,
+    level_filter: LevelFilter = filter_planes,
+) -> np.ndarray:
+    """`_rows` of a whole level, ``(3, h, w)``."""
+    height, width = mean.shape[:2]
+    result = np.empty((3, height, width), np.float32)
+
+    def work(blocks: slice) -> None:
+        rows = slice(2 * blocks.start, min(2 * blocks.stop, height))
+        result[:, rows] = _rows(
+            mean, coarser, logits, settled, rows, options, strips.scratch, level_filter
+        )
+
+    # whole blocks of rows, but at the coarsest level, where there are none
+    strips.run(work, -(-height // 2), 2 * width)
+    return result
+
+
+def _rows(
+    mean: np.ndarray,
+    coarser: np.ndarray | None,
+    logits: np.ndarray,
+    settled: np.ndarray | None,
+    rows: slice,
+    options: FusedKernels,
+    scratch: Scratch,
+    level_filter: LevelFilter,
+) -> np.ndarray:
+    """Rows of a level, filtered and blended with the coarser level.
+
+    Parameters
+    ----------
+    mean : (h, w, 4) float32
+        Light and samples of the whole level.
+    coarser : (3, h / 2, w / 2) float32 or None
+        The coarser level; None for this level alone.
+    logits : (planes, h, w) float32
+    settled : (3, h, w) float32 or None
+        How far the level gives way, if that is known already.
+    rows
+        Which rows; with a coarser level whole blocks.
+
+    Returns
+    -------
+    (3, rows, w) float32
+        In the scratch.
+    """
+    near, own = with_halo(rows, max(options.kernel_sizes) // 2, len(mean))
+    fine = level_filter(mean[near], logits[:, near], own, options, scratch)
+    if coarser is None:
+        return fine
+    coarse = coarser[:, rows.start // 2 : rows.stop // 2]
+    if settled is not None:
+        for plane, above, share in zip(fine, coarse, settled[:, rows], strict=True):
+            cv2.accumulateProduct(double(_step(plane, above)), share, plane)
+        return fine
+    alpha, held = scratch.array("alpha", fine.shape[1:]), scratch.array("held", fine.shape[1:])
+    bounded_exp(logits[-1, rows], options.logit_bound, alpha)
+    alpha /= np.add(alpha, 1, out=held)
+    for plane, above in zip(fine, coarse, strict=True):
+        _give_way(plane, above, alpha)
+    return fine
+
+
+def _give_way(fine: np.ndarray, coarser: np.ndarray, alpha: np.ndarray) -> None:
+    """Blend one channel ``(h, w)`` with the coarser level by eq. 7, in place and within range."""
+    upper, lower = fine[::2], fine[1::2]
+    low, high = np.minimum(upper, lower), np.maximum(upper, lower)
+    least = np.minimum(np.minimum(low[:, ::2], low[:, 1::2]), coarser)
+    most = np.maximum(np.maximum(high[:, ::2], high[:, 1::2]), coarser)
+    cv2.accumulateProduct(double(_step(fine, coarser)), alpha, fine)
+    np.maximum(fine, double(least), out=fine)
+    np.minimum(fine, double(most), out=fine)
+
+
+def _step(fine: np.ndarray, coarser: np.ndarray) -> np.ndarray:
+    """From the mean of each block to the coarser level."""
+    return coarser - halve(fine)
+
+
+def _numbers(outputs: Sequence[np.ndarray]) -> list[np.ndarray]:
+    return [np.nan_to_num(level, nan=0.0, posinf=np.inf, neginf=-np.inf) for level in outputs]

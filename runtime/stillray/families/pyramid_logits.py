@@ -1,0 +1,74 @@
+"""What the logits of a kernel pyramid are for, level by level.
+
+See `stillray.families.kernel_pyramid`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+from stillray.model_spec.loader import PyramidKernels
+
+#: Neighbours of a pixel in the order of their logits: (rows down, columns right).
+NEIGHBOURS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
+
+
+@dataclass(frozen=True)
+class LevelLayout:
+    """Where the logits of one level lie in its planes.
+
+    Attributes
+    ----------
+    importance
+        One map a kernel.
+    pool
+        Weights for the next coarser level; empty at the coarsest.
+    blend
+        What a pixel takes: at the coarsest level its kernels, against itself at logit 0; elsewhere
+        itself and its kernels, against the coarser level at logit 0. Itself by what it holds of a
+        sample, if that is less than one.
+    resolve
+        At the finest level the eight `NEIGHBOURS` and the previous output, against the pixel
+        itself at logit 0; empty elsewhere.
+    renew
+        At the finest level how much this frame's sample counts beside what was accumulated, which
+        holds it already; empty elsewhere.
+    double
+        At every level but the finest what each of the four finer pixels takes of the pixels beside
+        its own and above or below it, see `stillray.families.pyramid_upsample`: four maps for the
+        one, four for the other; empty at the finest.
+    around
+        At every level but the finest, where the spec asks for it, what a pixel takes of its eight
+        `NEIGHBOURS`, as the blend's; empty elsewhere.
+    """
+
+    importance: slice
+    pool: slice
+    blend: slice
+    resolve: slice
+    renew: slice
+    double: slice
+    around: slice
+
+
+def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayout:
+    """The layout of a level, 0 being the finest."""
+    kernels = len(options.kernel_sizes) if level > 0 or options.finest_kernels else 0
+    coarsest = level == levels - 1
+    counts = (
+        kernels,
+        0 if coarsest else 1,
+        kernels if coarsest else kernels + 1,
+        len(NEIGHBOURS) + 1 if level == 0 else 0,
+        1 if level == 0 else 0,
+        0 if level == 0 else 8,
+        len(NEIGHBOURS) if level > 0 and options.predicted else 0,
+    )
+    starts = [sum(counts[:index]) for index in range(len(counts) + 1)]
+    return LevelLayout(*(slice(a, b) for a, b in pairwise(starts)))
+
+
+def level_logits(level: int, levels: int, options: PyramidKernels) -> int:
+    """Planes that a level's logits have, 0 being the finest."""
+    return level_layout(level, levels, options).around.stop

@@ -1,0 +1,147 @@
+"""An EXR file whose container has been checked: the names of its channels, and their pixels."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stillray.errors import InputError
+from stillray.io.channels.roles import find_layers
+from stillray.io.exr.container import Container, Window
+from stillray.io.exr.deflate import is_plain, read_planes
+from stillray.io.exr.openimageio import checked_container, opened, openimageio, reason
+
+Channels = dict[str, np.ndarray]
+
+# Channels between two wanted ones that are rather read than the part decoded twice.
+_WORTH_SKIPPING = 4
+
+
+@dataclass(frozen=True)
+class ExrFile:
+    """An EXR file whose container has been checked, and what its channels are called.
+
+    Attributes
+    ----------
+    path
+        The file.
+    container
+        Its headers and chunks.
+    channels
+        Name of each channel to the number of its part and its name there. Where a part has a
+        name and its channels carry no layer, ``part.channel`` is the name; in the first part
+        only if that is a known layer.
+    """
+
+    path: Path
+    container: Container
+    channels: Mapping[str, tuple[int, str]]
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str], *, headers_only: bool = False) -> ExrFile:
+        """Read headers and, unless told otherwise, the table of chunks; no pixels.
+
+        Raises
+        ------
+        InputError
+            The file is missing, not EXR, truncated, or its claims cannot be true.
+        """
+        path = Path(path)
+        container = checked_container(path, headers_only=headers_only)
+        channels: dict[str, tuple[int, str]] = {}
+        for number, part in enumerate(container.parts):
+            plain = [channel.name for channel in part.channels]
+            keys = [f"{part.name}.{c}" if part.name and "." not in c else c for c in plain]
+            # the first part is often the beauty under a name of its own: then R, G, B say more
+            keys = keys if number or find_layers(keys) else plain
+            for key, name in zip(keys, plain, strict=True):
+                channels.setdefault(key, (number, name))
+        return cls(path, container, channels)
+
+    def window(self, channel: str) -> Window:
+        """The data window of the part that holds a channel."""
+        return self.container.parts[self.channels[channel][0]].data
+
+    def read(self, names: Iterable[str], window: Window | None = None) -> Channels:
+        """Read some channels, and decode no part that holds none of them.
+
+        Parameters
+        ----------
+        names
+            As ``channels`` has them.
+        window
+            The pixels wanted, 0 where a part has none; each part's own data window if None.
+
+        Returns
+        -------
+        dict of str to (height, width) float32
+
+        Raises
+        ------
+        InputError
+            The pixels cannot be decoded, or are deep.
+        """
+        wanted: dict[int, dict[str, str]] = {}
+        for name in names:
+            number, channel = self.channels[name]
+            wanted.setdefault(number, {})[channel] = name
+        planes: Channels = {}
+        for number, channels in wanted.items():
+            part = self.container.parts[number]
+            if part.deep:
+                raise InputError(f"{self.path}: must hold flat pixels, part {number} is deep")
+            if is_plain(part, channels):
+                chunks = [chunk for chunk in self.container.chunks if chunk.part == number]
+                found = read_planes(self.path, part, chunks, channels)
+            else:
+                found = _read_part(self.path, number, set(channels))
+            for channel, plane in found.items():
+                if window is not None and window != part.data:
+                    plane = _placed(plane, part.data, window)
+                planes[channels[channel]] = plane
+        return planes
+
+
+def _read_part(path: Path, number: int, wanted: set[str]) -> Channels:
+    oiio = openimageio()
+    planes: Channels = {}
+    with opened(path) as source:
+        if not source.seek_subimage(number, 0):
+            message = reason(source.geterror())
+            raise InputError(f"{path}: cannot read part {number}: {message}")
+        spec = source.spec()
+        order = list(spec.channelnames)
+        for first, last in _runs([i for i, name in enumerate(order) if name in wanted]):
+            pixels = source.read_image(number, 0, first, last, oiio.FLOAT)
+            if pixels is None:
+                raise InputError(f"{path}: cannot read the pixels: {reason(source.geterror())}")
+            pixels = np.asarray(pixels).reshape(spec.height, spec.width, last - first)
+            planes |= {n: pixels[..., i] for i, n in enumerate(order[first:last]) if n in wanted}
+    return planes
+
+
+def _runs(places: list[int]) -> list[tuple[int, int]]:
+    """Ranges of channels to read at once; each range costs the decoding of the whole part."""
+    runs: list[tuple[int, int]] = []
+    for place in places:
+        if runs and place - runs[-1][1] <= _WORTH_SKIPPING:
+            runs[-1] = (runs[-1][0], place + 1)
+        else:
+            runs.append((place, place + 1))
+    return runs
+
+
+def _placed(plane: np.ndarray, own: Window, wanted: Window) -> np.ndarray:
+    placed = np.zeros((wanted.height, wanted.width), np.float32)
+    left, top = max(own.x, wanted.x), max(own.y, wanted.y)
+    right = min(own.x + own.width, wanted.x + wanted.width)
+    bottom = min(own.y + own.height, wanted.y + wanted.height)
+    if left < right and top < bottom:
+        placed[top - wanted.y : bottom - wanted.y, left - wanted.x : right - wanted.x] = plane[
+            top - own.y : bottom - own.y, left - own.x : right - own.x
+        ]
+    return placed

@@ -1,0 +1,440 @@
+"""Reading and writing OpenEXR files: buffers in, the same file with a clean picture out.
+
+Alpha is never touched: colour is denoised as it is stored, which in EXR is premultiplied, so that
+compositing the result over a background works as with the source.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stillray.errors import InputError
+from stillray.frame import Frame
+from stillray.io.atomic import atomic_path
+from stillray.io.channels.motion_convention import MotionConvention
+from stillray.io.channels.roles import LayerMatch, find_alone, find_layers, find_lights, gather
+from stillray.io.exr.container import Window
+from stillray.io.exr.file import Channels, ExrFile
+from stillray.io.exr.openimageio import checked_container, opened, openimageio, reason
+from stillray.io.exr.rewrite import rewrite
+from stillray.version import __version__
+
+__all__ = [
+    "ExrFile",
+    "atomic_path",
+    "check_layer",
+    "read_channels",
+    "read_exr",
+    "read_lights",
+    "read_metadata",
+    "read_picture",
+    "require_color",
+    "write_channels",
+    "write_exr",
+]
+
+# Attributes that describe the stored pixels, not the picture: OpenImageIO sets them anew.
+_STORAGE_PREFIXES = ("oiio:", "openexr:")
+_STORAGE_NAMES = frozenset({"chunkCount", "name", "compression"})
+
+
+def read_exr(
+    path: str | os.PathLike[str],
+    *,
+    albedo: str | os.PathLike[str] | None = None,
+    normal: str | os.PathLike[str] | None = None,
+    depth: str | os.PathLike[str] | None = None,
+    motion: str | os.PathLike[str] | None = None,
+    layers: Mapping[str, str] | None = None,
+    convention: MotionConvention | None = None,
+    before: str | os.PathLike[str] | None = None,
+) -> Frame:
+    """Read one frame, finding its buffers among the channels of any known renderer.
+
+    Only the channels that are needed are decoded. The frame is the data window of the color,
+    which may be larger or smaller than the display window; buffers in parts with another data
+    window are brought to it, 0 where they have no pixels.
+
+    Parameters
+    ----------
+    path
+        An OpenEXR file with color and any of the other buffers.
+    albedo, normal, depth, motion
+        Files that hold that buffer instead: under a known name, or as plain R, G, B or X, Y, Z.
+        Plain motion (X, Y or R, G) is in pixels, previous minus current position, y down.
+    layers
+        Role to the layer or channels to take for it, as
+        `stillray.io.channels.roles.parse_overrides` gives.
+    convention
+        What the file's motion means, where its layer alone does not tell: from
+        `stillray.io.channels.motion_detection.detect_motion`.
+    before
+        The file of the previous frame; needed for motion that is stored there.
+
+    Returns
+    -------
+    Frame
+
+    Raises
+    ------
+    InputError
+        A file cannot be read completely, lacks its buffer, or differs in size.
+    """
+    file = ExrFile.open(path)
+    companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
+    given = {role: Path(p) for role, p in companions.items() if p is not None}
+    found = require_color(file.path, find_layers(file.channels, layers))
+    matches = [
+        match.proven(convention) if match.role == "motion" and convention else match
+        for match in found
+        if match.role not in given
+    ]
+    matches = [match for match in matches if match.used]
+    late = [m for m in matches if m.convention is not None and m.convention.stored == "before"]
+    names = dict.fromkeys(name for m in matches if m not in late for name in m.channels)
+    window = file.window(next(m for m in matches if m.role == "color").channels[0])
+    planes = file.read(names, window)
+    buffers = {m.role: gather(m, planes) for m in matches if m not in late}
+    if late and before is not None:  # a first frame has no frame before, and needs no motion
+        previous = ExrFile.open(before)
+        _require_channels(previous, late[0].channels)
+        buffers["motion"] = gather(late[0], previous.read(late[0].channels, window))
+    for role, companion in given.items():
+        buffers[role] = _read_alone(role, companion, file, window, layers)
+    return Frame(**buffers)
+
+
+def read_picture(
+    path: str | os.PathLike[str], *, layers: Mapping[str, str] | None = None
+) -> np.ndarray:
+    """The color that `write_exr` puts a denoised picture into, ``(h, w, 3)`` float32.
+
+    That is what `read_exr` takes for color, but in files that keep the noisy image beside it.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has no color.
+    """
+    file = ExrFile.open(path)
+    color = require_color(file.path, find_layers(file.channels, layers))[0].writes
+    planes = file.read(color, file.window(color[0]))
+    return np.stack([planes[name] for name in color], axis=-1)
+
+
+def read_lights(
+    path: str | os.PathLike[str],
+    names: Sequence[str] = (),
+    *,
+    layers: Mapping[str, str] | None = None,
+) -> dict[str, np.ndarray]:
+    """Layers of light beside the color, for `Denoiser.denoise_layers`.
+
+    Parameters
+    ----------
+    path
+        An OpenEXR file.
+    names
+        Which layers, as they are called in the file; all that are known to be light if empty.
+    layers
+        As for `read_exr`.
+
+    Returns
+    -------
+    dict of str to (h, w, 3) float32
+        By name, in the data window of the color.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has no such layer.
+    """
+    file = ExrFile.open(path)
+    color = require_color(file.path, find_layers(file.channels, layers))[0]
+    channels = _lights(file, names, layers)
+    wanted = dict.fromkeys(name for listed in channels.values() for name in listed)
+    planes = file.read(wanted, file.window(color.channels[0]))
+    return {
+        name: np.stack([planes[channel] for channel in listed], axis=-1)
+        for name, listed in channels.items()
+    }
+
+
+def require_color(path: Path, matches: list[LayerMatch]) -> list[LayerMatch]:
+    """The matches; `InputError` where none of them is color."""
+    if not any(match.role == "color" for match in matches):
+        raise InputError(
+            f"{path}: must hold color channels, R, G, B or a known renderer's; none found"
+        )
+    return matches
+
+
+def check_layer(
+    path: str | os.PathLike[str], role: str, layers: Mapping[str, str] | None = None
+) -> None:
+    """Raise `InputError` where a file's header holds no buffer of that role; reads no pixels."""
+    file = ExrFile.open(path, headers_only=True)
+    if role == "color":
+        require_color(file.path, find_layers(file.channels, layers))
+    else:
+        _require_alone(role, file.path, file.channels, layers)
+
+
+def read_channels(path: str | os.PathLike[str]) -> Channels:
+    """Read every channel of every part of an EXR file.
+
+    Parameters
+    ----------
+    path
+        An OpenEXR file; names are as `ExrFile` has them.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Channel name to a float32 ``(height, width)`` array, row 0 at the top.
+
+    Raises
+    ------
+    InputError
+        The file is missing, not readable, truncated, or its parts differ in size.
+    """
+    file = ExrFile.open(path)
+    channels = {n: np.ascontiguousarray(p) for n, p in file.read(file.channels).items()}
+    sizes = {plane.shape for plane in channels.values()}
+    if len(sizes) != 1:
+        raise InputError(f"{path}: all parts must have one size, got {sorted(sizes)}")
+    return {name: channels[name] for name in file.channels}
+
+
+def read_metadata(path: str | os.PathLike[str]) -> Any:
+    """The OpenImageIO ``ImageSpec`` of the first part of a file: windows and attributes."""
+    checked_container(Path(path))
+    with opened(Path(path)) as source:
+        return source.spec()
+
+
+def write_exr(
+    path: str | os.PathLike[str],
+    image: np.ndarray,
+    *,
+    like: str | os.PathLike[str] | None = None,
+    layers: Mapping[str, str] | None = None,
+    only_color: bool = False,
+    lights: Mapping[str, np.ndarray] | None = None,
+    attributes: Mapping[str, str] | None = None,
+) -> int:
+    """Write a denoised picture, complete or not at all.
+
+    With a source to be ``like``, the result has its structure: the same parts, channels, types,
+    compression, tiles, windows and attributes, with the picture in place of the color. All other
+    parts are copied byte by byte, and so are all attributes. Other channels of the color's own
+    part keep their exact values, unless the part's compression is itself lossy (dwaa, dwab, b44,
+    b44a and, for 32-bit floats, pxr24) and takes its loss once more.
+
+    Parameters
+    ----------
+    path
+        Where to write; what is there already stays intact until the new file is complete.
+    image : (h, w, 3) float
+        Scene-linear radiance, premultiplied if the source's color was.
+    like
+        The source file. Where the picture has not its size, only metadata are kept.
+    layers
+        As it was read with, see `read_exr`.
+    only_color
+        Write R, G, B in half precision and nothing else of the source but its metadata and,
+        where the picture has its size, its windows.
+    lights
+        Filtered layers by name, from `read_lights`, which replace those of the source; not with
+        ``only_color``.
+    attributes
+        Further attributes, such as where the picture comes from: ``{"stillray:model": "kpyr-5"}``.
+        ``stillray:version`` is always written.
+
+    Returns
+    -------
+    int
+        How many values were beyond what half precision holds (65504) and were clamped to it.
+
+    Raises
+    ------
+    InputError
+        The picture has a wrong shape or type, or the file cannot be read or written.
+    """
+    image = np.asarray(image)
+    path = Path(path)
+    if image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
+        raise InputError(f"image must have shape (height, width, 3), got {image.shape}")
+    if image.dtype.kind != "f":
+        raise InputError(f"image must be floating point, got {image.dtype}")
+    tags = {"stillray:version": __version__, **(attributes or {})}
+    if like is not None and not only_color:
+        source = ExrFile.open(like)
+        color = [m for m in find_layers(source.channels, layers) if m.role == "color"]
+        if color and _same_size(source.window(color[0].writes[0]), image):
+            replaced = {
+                source.channels[name]: image[..., i] for i, name in enumerate(color[0].writes)
+            }
+            if lights:
+                replaced |= _replaced_lights(source, color[0], lights, layers)
+            with atomic_path(path) as temporary:
+                return rewrite(source.path, source.container, temporary, replaced, tags)
+    return write_channels(
+        path, {name: image[..., i] for i, name in enumerate("RGB")}, like=like, attributes=tags
+    )
+
+
+def write_channels(
+    path: str | os.PathLike[str],
+    channels: Mapping[str, np.ndarray],
+    *,
+    formats: Mapping[str, str] | None = None,
+    like: str | os.PathLike[str] | None = None,
+    attributes: Mapping[str, Any] | None = None,
+    compression: str = "zip",
+) -> int:
+    """Write one single-part EXR file, complete or not at all.
+
+    Parameters
+    ----------
+    path
+        Where to write. A temporary file beside it is filled and then moved into place.
+    channels
+        Channel name to ``(height, width)`` array, any floating dtype.
+    formats
+        Channel name to ``"half"`` or ``"float"``; ``"half"`` where not named. Values beyond
+        the half range (65504) are clamped to it, never turned into infinities.
+    like
+        A source file whose data window, display window and metadata are kept.
+    attributes
+        Further metadata: name to str, int or float.
+    compression
+        An OpenEXR compression name, ``"zip"`` (lossless) unless told otherwise.
+
+    Returns
+    -------
+    int
+        How many values were clamped to the half range.
+
+    Raises
+    ------
+    InputError
+        The folder does not exist or cannot be written.
+    """
+    oiio = openimageio()
+    path = Path(path)
+    height, width = next(iter(channels.values())).shape
+    formats = formats or {}
+    kinds = [formats.get(name, "half") for name in channels]
+    # OpenImageIO ignores the formats of the channels where they are all the same
+    whole = kinds[0] if len(set(kinds)) == 1 else "float"
+    spec = oiio.ImageSpec(width, height, len(channels), whole)
+    if like is not None:
+        source = read_metadata(like)
+        if (source.height, source.width) == (height, width):
+            spec.x, spec.y = source.x, source.y
+            spec.full_x, spec.full_y = source.full_x, source.full_y
+            spec.full_width, spec.full_height = source.full_width, source.full_height
+        for attribute in source.extra_attribs:
+            stored = attribute.name in _STORAGE_NAMES
+            if not stored and not attribute.name.startswith(_STORAGE_PREFIXES):
+                spec.attribute(attribute.name, attribute.type, attribute.value)
+    spec.channelnames = tuple(channels)
+    spec.channelformats = tuple(oiio.TypeDesc(kind) for kind in kinds)
+    spec.attribute("compression", compression)
+    for name, value in (attributes or {}).items():
+        spec.attribute(name, value)
+    half = np.finfo(np.float16)
+    halves = [plane for plane, kind in zip(channels.values(), kinds, strict=True) if kind == "half"]
+    clamped = sum(int(np.count_nonzero(np.abs(plane) > half.max)) for plane in halves)
+    planes = [
+        np.clip(plane, half.min, half.max) if kind == "half" else plane
+        for plane, kind in zip(channels.values(), kinds, strict=True)
+    ]
+    pixels = np.stack([np.asarray(plane, np.float32) for plane in planes], axis=-1)
+    with atomic_path(path) as temporary:
+        sink = oiio.ImageOutput.create("exr")
+        if not sink.open(str(temporary), spec):
+            raise InputError(f"{path}: cannot be written: {reason(sink.geterror())}")
+        written = sink.write_image(pixels)
+        message = sink.geterror()
+        if not sink.close() or not written:
+            raise InputError(f"{path}: cannot be written: {reason(message)}")
+    return clamped
+
+
+def _require_alone(
+    role: str, path: Path, names: Iterable[str], layers: Mapping[str, str] | None
+) -> LayerMatch:
+    names = list(names)
+    match = find_alone(role, names, layers)
+    if match is None:
+        raise InputError(f"{path}: must hold {role} channels, got {', '.join(names)}")
+    return match
+
+
+def _lights(
+    file: ExrFile, names: Sequence[str], layers: Mapping[str, str] | None
+) -> dict[str, tuple[str, ...]]:
+    """Channels of the layers of those names; of all layers of light if there are no names."""
+    known = find_lights(file.channels, layers)
+    if not names:
+        return known
+    found = {}
+    for name in names:
+        if name not in known:
+            # named by a user, it need not be known to be light
+            known[name] = find_layers(file.channels, {"color": name})[0].channels
+        found[name] = known[name]
+    return found
+
+
+def _replaced_lights(
+    file: ExrFile,
+    color: LayerMatch,
+    lights: Mapping[str, np.ndarray],
+    layers: Mapping[str, str] | None,
+) -> dict[tuple[int, str], np.ndarray]:
+    """Part and channel to plane, of filtered layers."""
+    replaced = {}
+    for name, channels in _lights(file, tuple(lights), layers).items():
+        if file.window(channels[0]) != file.window(color.writes[0]):
+            raise InputError(f"{file.path}: {name} must have the data window of the color")
+        for i, channel in enumerate(channels):
+            replaced[file.channels[channel]] = lights[name][..., i]
+    return replaced
+
+
+def _require_channels(file: ExrFile, names: Iterable[str]) -> None:
+    missing = [name for name in names if name not in file.channels]
+    if missing:
+        raise InputError(f"{file.path}: must hold the motion channels {', '.join(missing)}")
+
+
+def _read_alone(
+    role: str,
+    path: Path,
+    beside: ExrFile,
+    window: Window,
+    layers: Mapping[str, str] | None,
+) -> np.ndarray:
+    """A buffer from a file of its own, in the data window of the color that it goes with."""
+    file = ExrFile.open(path)
+    match = _require_alone(role, path, file.channels, layers)
+    own = file.window(match.channels[0])
+    same_picture = file.container.parts[0].display == beside.container.parts[0].display
+    if not same_picture and (own.width, own.height) != (window.width, window.height):
+        raise InputError(
+            f"{path}: {role} must have the size {(window.height, window.width)} of {beside.path}, "
+            f"got {(own.height, own.width)}"
+        )
+    return gather(match, file.read(match.channels, window if same_picture else None))
+
+
+def _same_size(window: Window, image: np.ndarray) -> bool:
+    return (window.height, window.width) == image.shape[:2]

@@ -1,0 +1,384 @@
+"""Model specifications: one TOML file a model, read strictly.
+
+A spec says everything that turns buffers into a picture: inputs, transfer, network, decoder,
+temporal accumulation and the training recipe. The same spec, as JSON, is embedded in the model's
+.onnx file; the runtime reads nothing else.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tomllib
+import types
+import typing
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stillray.errors import InputError
+
+FORMAT = 1
+
+#: Every network input plane by name, in the order that `stillray.stages.features` describes them.
+FEATURES = (
+    "irradiance.r", "irradiance.g", "irradiance.b", "irradiance.luminance",
+    "sample.luminance", "local_luminance", "samples",
+    "albedo.r", "albedo.g", "albedo.b", "albedo.luminance",
+    "normal.x", "normal.y", "normal.z", "depth",
+    "previous.r", "previous.g", "previous.b", "previous.luminance", "previous.valid",
+)  # fmt: skip
+#: exp of twice the bound of logits, times a window, must stay far inside float32 (3e38).
+MAX_LOGIT = 40
+BUFFERS = ("color", "albedo", "normal", "depth", "motion", "color_b", "jitter")
+
+
+@dataclass(frozen=True)
+class Family:
+    """What the tables of a specification hold in one family of models."""
+
+    network: type
+    decoder: type
+
+
+class SpecError(InputError):
+    """A specification that cannot be used: the message names the key and the rule."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """Buffers of `stillray.Frame` that the model takes."""
+
+    required: tuple[str, ...]
+    optional: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demodulate:
+    """Division of radiance by albedo before filtering (Fan et al. 2021, section 4.2)."""
+
+    floor: float  # smallest divisor of a channel, (0, 1]
+    black: float  # albedo below this in all channels says nothing: divide by 1 there, [0, floor]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transfer:
+    """From scene-linear irradiance to network features."""
+
+    middle: float  # exposed value of the frame's typical irradiance, > 0
+    local_size: int  # pixels, odd: window of the local luminance
+    exposure_memory: float  # share of the previous frame's log exposure that is kept, [0, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Temporal:
+    """Reprojection and accumulation before the network (Fan et al. 2021, section 4.1)."""
+
+    max_samples: float  # samples that a pixel's history is worth at most, >= 1
+    # a sample this many times its surroundings counts two thirds in a pixel that holds three, > 0
+    outlier_ratio: float
+    normal_cosine: float  # a tap is accepted when its normal agrees at least so much, [-1, 1]
+    depth_ratio: float  # and its depth differs at most by this share, > 0
+    # samples that the albedo's past is worth at most, where the result is multiplied by it, >= 0;
+    # 0: by this frame's alone
+    albedo_samples: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportanceNetwork:
+    """ImportanceNet: a chain of RepVGG blocks (Fan et al. 2021, figure 2)."""
+
+    features: tuple[str, ...]  # input planes by name
+    # pixels, 1 or 2: the network works on squares of pixels with this side, as if they were pixels
+    # of so many times the features, and tells them apart in its logits alone
+    block: int
+    widths: tuple[int, ...]  # output channels of every block but the last
+    kernel_sizes: tuple[int, ...]  # of each block, odd, in pixels or squares of them
+    # kernel sizes trained side by side and fused for inference; a block has those below its own
+    branches: tuple[int, ...]
+    identity: bool  # an identity branch where input and output widths agree (training only)
+
+    def __post_init__(self) -> None:
+        blocks = len(self.widths) + 1
+        if len(self.kernel_sizes) != blocks:
+            raise SpecError(
+                f"network.kernel_sizes must have {blocks} entries for {len(self.widths)} widths, "
+                f"got {self.kernel_sizes}"
+            )
+        _odd(self.kernel_sizes)
+        _branches(max(self.kernel_sizes), self.branches)
+        _within("network.block", self.block, 1, 2)
+
+    def block_branches(self, block: int) -> tuple[int, ...]:
+        """Kernel sizes that are trained side by side in a block, its own first."""
+        own = self.kernel_sizes[block]
+        return own, *(size for size in self.branches if size < own)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FusedKernels:
+    """Fused weight-sharing kernels (Fan et al. 2021, eq. 2 to 5)."""
+
+    kernel_sizes: tuple[int, ...]  # pixels, odd, one importance map each
+    logit_bound: float  # importance and fusion logits are clipped to +- this, (0, 40]
+    weigh_samples: bool  # multiply importance by the samples that a pixel holds
+
+    def __post_init__(self) -> None:
+        _odd(self.kernel_sizes)
+        _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PyramidNetwork:
+    """A U-Net of RepVGG blocks that gives logits at every resolution, finest first."""
+
+    features: tuple[str, ...]  # input planes by name
+    # pixels, 1 or 2: the finest level works on blocks with this side, and tells their pixels apart
+    # in its logits alone; with 2 it gives those of two resolutions
+    block: int
+    widths: tuple[int, ...]  # channels of each level; every level halves the resolution
+    encoder_blocks: tuple[int, ...]  # blocks of each level on the way down, after its entry
+    decoder_blocks: tuple[int, ...]  # blocks of each level but the coarsest on the way up
+    concatenate: tuple[bool, ...]  # of each level but the coarsest: append the skip, or add it
+    kernel_size: int  # pixels, odd
+    branches: tuple[int, ...]  # kernel sizes trained side by side and fused for inference
+    identity: bool  # an identity branch where input and output widths agree (training only)
+
+    def __post_init__(self) -> None:
+        _branches(self.kernel_size, self.branches)
+        _within("network.block", self.block, 1, 2)
+        levels = len(self.widths)
+        for key, count in (
+            ("encoder_blocks", levels),
+            ("decoder_blocks", levels - 1),
+            ("concatenate", levels - 1),
+        ):
+            if len(getattr(self, key)) != count:
+                raise SpecError(
+                    f"network.{key} must have {count} entries for {levels} widths, "
+                    f"got {getattr(self, key)}"
+                )
+
+    @property
+    def resolutions(self) -> int:
+        """How many resolutions there are logits for."""
+        return len(self.widths) + self.block - 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class PyramidKernels:
+    """Weight-sharing kernels at several resolutions, then a resolve with the previous output."""
+
+    kernel_sizes: tuple[int, ...]  # pixels of each level, odd, one importance map each
+    finest_kernels: bool  # whether the finest level has them too, or the coarser alone
+    predicted: bool  # whether pixels of the coarser levels have a weight for each neighbour, too
+    logit_bound: float  # logits are clipped to +- this, (0, 20]
+    sharp_recall: bool  # whether the previous output is interpolated by cubic convolution
+
+    def __post_init__(self) -> None:
+        _odd(self.kernel_sizes)
+        _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuideNetwork:
+    """GuideNet: two convolutions, or a dense block between them (Meng et al. 2020, figure 2)."""
+
+    features: tuple[str, ...]  # input planes by name
+    width: int  # output channels of the first block
+    dense_layers: int  # blocks that each see all before them, 0: none
+    growth: int  # output channels of each of those
+    kernel_size: int  # pixels, odd
+    branches: tuple[int, ...]  # kernel sizes trained side by side and fused for inference
+    identity: bool  # an identity branch where input and output widths agree (training only)
+
+    def __post_init__(self) -> None:
+        _branches(self.kernel_size, self.branches)
+        _within("network.dense_layers", self.dense_layers, 0, 64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BilateralGrids:
+    """Bilateral grids at one or several scales (Meng et al. 2020, eq. 8 to 15)."""
+
+    grids: int  # one a scale; every scale doubles the rates
+    spacing: int  # pixels from cell to cell of the finest grid, along x and y
+    depth_spacing: float  # and along its guide, of which there are 255
+    weigh_samples: bool  # splat a pixel by the samples that it holds
+
+    def __post_init__(self) -> None:
+        _within("decoder.grids", self.grids, 1, 5)
+        _within("decoder.spacing", self.spacing, 1, 64)
+        _within("decoder.depth_spacing", self.depth_spacing, 1, 255)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """The recipe that `stillray-train` follows."""
+
+    steps: int
+    batch: int
+    patch: int  # pixels
+    learning_rate: float  # Adam, cosine decay to 1 % of it
+    smape_epsilon: float  # Fan et al. 2021, eq. 6, in exposed radiance
+    display_weight: float  # weight of the error as displayed beside SMAPE, >= 0
+    # weight of its square there, which is what PSNR counts, >= 0
+    squared_weight: float
+    structure_weight: float  # weight of one minus the structural similarity, >= 0
+    steady_weight: float  # weight of the change against the previous output, >= 0
+    quiet_share: float  # share of patches of little noise and a few fireflies, [0, 1]
+    history_from: int  # step from which previous outputs are given; 0: the model takes none
+    history_every: int  # steps between renewals of those outputs
+    drop_feature: float  # probability that albedo, normal or depth is withheld from a patch
+    exposure_stops: float  # exposure is varied by +- this
+    seed: int
+
+    def __post_init__(self) -> None:
+        for key in ("display_weight", "squared_weight", "structure_weight", "steady_weight"):
+            _within(f"training.{key}", getattr(self, key), 0, 1e3)
+        _within("training.quiet_share", self.quiet_share, 0, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSpec:
+    """Everything about one model but its weights."""
+
+    format: int
+    name: str
+    family: str
+    summary: str
+    aliases: tuple[str, ...]
+    inputs: Inputs
+    demodulate: Demodulate
+    transfer: Transfer
+    temporal: Temporal
+    network: ImportanceNetwork | PyramidNetwork | GuideNetwork
+    decoder: FusedKernels | PyramidKernels | BilateralGrids
+    training: Training
+
+    def __post_init__(self) -> None:
+        if self.format != FORMAT:
+            raise SpecError(f"format must be {FORMAT}, got {self.format}")
+        _one_of("family", self.family, FAMILIES)
+        for name in self.inputs.required + self.inputs.optional:
+            _one_of("inputs", name, BUFFERS)
+        if isinstance(self.network, PyramidNetwork) and isinstance(self.decoder, FusedKernels):
+            _within("network.block", self.network.block, 1, 1)
+        for name in self.network.features:
+            _one_of("network.features", name, FEATURES)
+        _odd((self.transfer.local_size,))
+        _within("demodulate.floor", self.demodulate.floor, 1e-6, 1)
+        _within("demodulate.black", self.demodulate.black, 0, self.demodulate.floor)
+        _within("transfer.middle", self.transfer.middle, 1e-6, 1e6)
+        _within("transfer.exposure_memory", self.transfer.exposure_memory, 0, 0.999)
+        _within("temporal.max_samples", self.temporal.max_samples, 1, 1e6)
+        _within("temporal.outlier_ratio", self.temporal.outlier_ratio, 1e-3, 1e9)
+        _within("temporal.normal_cosine", self.temporal.normal_cosine, -1, 1)
+        _within("temporal.albedo_samples", self.temporal.albedo_samples, 0, 1e6)
+        _within("temporal.depth_ratio", self.temporal.depth_ratio, 1e-6, 1e6)
+
+    def to_json(self) -> str:
+        """The spec as JSON text, as it is embedded in a model file."""
+        return json.dumps(dataclasses.asdict(self), sort_keys=True)
+
+
+FAMILIES = {
+    "weight-sharing-kernels": Family(ImportanceNetwork, FusedKernels),
+    "kernel-pyramid": Family(PyramidNetwork, PyramidKernels),
+    "multi-resolution-kernels": Family(PyramidNetwork, FusedKernels),
+    "bilateral-grids": Family(GuideNetwork, BilateralGrids),
+}
+
+
+def parse(data: dict[str, Any]) -> ModelSpec:
+    """Build a spec from nested dictionaries.
+
+    Raises
+    ------
+    SpecError
+        A key is unknown or missing, or a value breaks its rule.
+    """
+    hints = typing.get_type_hints(ModelSpec)
+    # an unknown or missing family is reported with the other keys
+    if isinstance(data, dict) and (family := FAMILIES.get(str(data.get("family")))):
+        hints.update(network=family.network, decoder=family.decoder)
+    elif isinstance(data, dict) and "family" in data:
+        _one_of("family", str(data["family"]), FAMILIES)
+    return _build(ModelSpec, hints, data, "")
+
+
+def load(name: str) -> ModelSpec:
+    """Load the packaged spec of a model by name, ``load("wskp-3")``.
+
+    Raises
+    ------
+    SpecError
+        There is no such spec (the message lists those there are), or it breaks a rule.
+    """
+    folder = _specs()
+    names = sorted(path.stem for path in folder.glob("*.toml"))
+    if name not in names:
+        raise SpecError(f"model must be one of {', '.join(names)}, got {name}")
+    return parse(tomllib.loads((folder / f"{name}.toml").read_text()))
+
+
+def _specs() -> Path:
+    here = Path(__file__).parent
+    installed = here / "specs"
+    # the repository keeps them at its root; an installed package carries a copy
+    return installed if installed.is_dir() else here.parents[2] / "models_spec"
+
+
+def from_json(text: str) -> ModelSpec:
+    """Read back what `ModelSpec.to_json` wrote."""
+    return parse(json.loads(text))
+
+
+def _build(kind: type, hints: dict[str, Any], data: Any, path: str) -> Any:
+    if not isinstance(data, dict):
+        raise SpecError(f"{path.rstrip('.')} must be a table, got {data!r}")
+    if unknown := sorted(set(data) - set(hints)):
+        raise SpecError(f"unknown key {path}{unknown[0]}; known keys: {', '.join(hints)}")
+    if missing := [key for key in hints if key not in data]:
+        raise SpecError(f"missing key {path}{missing[0]}")
+    return kind(**{key: _value(hint, data[key], path + key) for key, hint in hints.items()})
+
+
+def _value(hint: Any, value: Any, path: str) -> Any:
+    if dataclasses.is_dataclass(hint):
+        return _build(typing.cast(type, hint), typing.get_type_hints(hint), value, path + ".")
+    if typing.get_origin(hint) is tuple:
+        if not isinstance(value, list | tuple):
+            raise SpecError(f"{path} must be a list, got {value!r}")
+        return tuple(_value(typing.get_args(hint)[0], item, path) for item in value)
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(hint, types.UnionType) or type(value) is not hint:
+        raise SpecError(f"{path} must be of type {hint.__name__}, got {value!r}")
+    return value
+
+
+def _odd(sizes: Iterable[int]) -> None:
+    for size in sizes:
+        if size < 1 or size % 2 == 0:
+            raise SpecError(f"kernel sizes must be odd and positive, got {size}")
+
+
+def _branches(kernel_size: int, branches: tuple[int, ...]) -> None:
+    _odd(branches)
+    if max(branches) != kernel_size:
+        raise SpecError(
+            f"network.branches must have the network's kernel size ({kernel_size}) as their "
+            f"largest, got {branches}"
+        )
+
+
+def _one_of(key: str, value: str, known: Iterable[str]) -> None:
+    if value not in known:
+        raise SpecError(f"{key} must be one of {', '.join(known)}, got {value}")
+
+
+def _within(key: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise SpecError(f"{key} must be in [{low:g}, {high:g}], got {value:g}")

@@ -1,0 +1,145 @@
+"""The models that come with stillray, and any other .onnx file made by its export."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from stillray.errors import InputError
+from stillray.model_spec.loader import FusedKernels, ModelSpec, SpecError, from_json
+from stillray.models.session import open_session
+
+SPEC_KEY = "stillray.spec"
+PROVENANCE_KEY = "stillray.provenance"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelInfo:
+    """What there is to know about a model without loading it for inference."""
+
+    name: str
+    family: str
+    summary: str
+    aliases: tuple[str, ...]
+    path: Path
+    parameters: int
+    size_bytes: int
+    inputs: tuple[str, ...]
+    optional_inputs: tuple[str, ...]
+    scores: dict[str, float]  # on the validation scenes, mean of the last frames
+    provenance: dict[str, Any]
+    spec: ModelSpec
+
+
+def list_models() -> list[ModelInfo]:
+    """The models that come with stillray, by name.
+
+    Examples
+    --------
+    >>> import stillray
+    >>> [model.name for model in stillray.list_models()]
+    ['kpyr-5', 'kpyr-5s', 'nbg-2x1', 'nbg-2x3', 'nbg-7x3', 'wskp-3', 'wskp-6', 'wskp-mr']
+    """
+    folder = Path(str(resources.files("stillray.models")))
+    return [
+        read_model(path)
+        for path in sorted(folder.glob("*.onnx"))
+        if not path.stem.endswith(WHOLE_SUFFIX)
+    ]
+
+
+#: Files of the whole denoise as one graph, for engines that embed ONNX Runtime themselves.
+WHOLE_SUFFIX = ".whole"
+
+
+def find_model(name: str | os.PathLike[str]) -> ModelInfo:
+    """A model by name, quality (``"fast"``, ``"balanced"``, ``"high"``) or path of an .onnx file.
+
+    Raises
+    ------
+    InputError
+        There is no such model: the message lists those there are.
+    """
+    path = Path(name)
+    if path.suffix == ".onnx":
+        return read_model(path)
+    models = list_models()
+    for model in models:
+        if name == model.name or name in model.aliases:
+            return model
+    known = [model.name for model in models] + [a for model in models for a in model.aliases]
+    raise InputError(
+        f"model must be one of {', '.join(known)} or the path of an .onnx file, got {name}"
+    )
+
+
+def read_model(path: Path) -> ModelInfo:
+    """Read the specification and provenance that a model file carries.
+
+    Raises
+    ------
+    InputError
+        The file is missing, is not ONNX, or was not made by stillray's export.
+    """
+    session = open_session(path, threads=1)
+    metadata = session.get_modelmeta().custom_metadata_map
+    try:
+        spec = from_json(metadata[SPEC_KEY])
+        provenance = json.loads(metadata[PROVENANCE_KEY])
+    except KeyError as error:
+        raise InputError(f"{path}: not a stillray model: no {error} in its metadata") from None
+    except (SpecError, ValueError) as error:
+        raise InputError(f"{path}: its specification cannot be used: {error}") from None
+    return ModelInfo(
+        name=spec.name,
+        family=spec.family,
+        summary=spec.summary,
+        aliases=spec.aliases,
+        path=path,
+        parameters=int(provenance["parameters"]),
+        size_bytes=path.stat().st_size,
+        inputs=spec.inputs.required,
+        optional_inputs=spec.inputs.optional,
+        scores=dict(provenance.get("scores", {})),
+        provenance=provenance,
+        spec=spec,
+    )
+
+
+def tuned(
+    info: ModelInfo, *, kernels: int | None = None, max_samples: float | None = None
+) -> ModelInfo:
+    """A model with other settings than it was trained with, for `stillray.Denoiser`.
+
+    Parameters
+    ----------
+    info
+        The model.
+    kernels
+        How many of its fused kernels to use, the smallest first; weight-sharing kernels only.
+    max_samples
+        Samples that a pixel's history is worth at most, 1 or more: how long it remembers.
+
+    Raises
+    ------
+    InputError
+        The model has not so many kernels, or the history is too short.
+    """
+    spec = info.spec
+    if kernels is not None:
+        fused = spec.decoder if isinstance(spec.decoder, FusedKernels) else None
+        sizes = fused.kernel_sizes if fused else ()
+        if fused is None or not 1 <= kernels <= len(sizes):
+            raise InputError(
+                f"kernels must be 1 to the {len(sizes)} that {info.name} fuses, got {kernels}"
+            )
+        spec = replace(spec, decoder=replace(fused, kernel_sizes=sizes[:kernels]))
+    if max_samples is not None:
+        if max_samples < 1:
+            raise InputError(f"max_samples must be 1 or more, got {max_samples:g}")
+        spec = replace(spec, temporal=replace(spec.temporal, max_samples=float(max_samples)))
+    return replace(info, spec=spec)

@@ -1,0 +1,52 @@
+"""Albedo demodulation: filter irradiance, so that textures are not filtered away."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from stillray.arrays.workspace import Scratch
+from stillray.model_spec.loader import Demodulate
+
+_BELOW_ZERO = (-1.0, -1.0, -1.0)
+_SUM = np.ones((1, 3), np.float32)
+_SURE = 4  # three channels at the black level sum to 3 times it, up to rounding
+
+
+def divisor(
+    albedo: np.ndarray,
+    options: Demodulate,
+    out: np.ndarray | None = None,
+    scratch: Scratch | None = None,
+) -> np.ndarray:
+    """What radiance is divided by; and multiplied by again at the end, or by its mean over frames.
+
+    differs: Fan et al. 2021, section 4.2, divide by the albedo itself. Renderers report albedo 0
+    for valid hits (smooth mirrors, glass) and channels near 0.01 for saturated paint; dividing a
+    highlight by those makes a coloured firefly. So channels are raised to a floor, and a pixel
+    whose albedo says nothing is divided by 1.
+
+    Parameters
+    ----------
+    albedo : (h, w, 3) float32
+        In [0, 1].
+    options
+        The floor and the black level.
+    out : (h, w, 3) float32, optional
+        Written and returned.
+    scratch
+        Where temporaries lie, if given.
+
+    Returns
+    -------
+    (h, w, 3) float32
+        In [floor, 1]. ``radiance / divisor * divisor`` gives the radiance back to rounding.
+    """
+    raised: np.ndarray = np.clip(albedo, np.float32(options.floor), np.float32(1), out=out)
+    # finding black pixels is dear: not where a quick look says that there are none
+    if cv2.transform(albedo, _SUM).min() <= _SURE * options.black:
+        black = cv2.inRange(albedo, _BELOW_ZERO, (options.black,) * 3)
+        ones = (scratch or Scratch()).array("ones", albedo.shape)
+        ones.fill(1)
+        cv2.copyTo(ones, black, raised)
+    return raised

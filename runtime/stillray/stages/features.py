@@ -1,0 +1,229 @@
+"""From irradiance and features to the planes that a network reads."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from stillray.arrays.strips import planes_of
+from stillray.arrays.workspace import Scratch
+from stillray.model_spec.loader import Temporal, Transfer
+
+_REC709 = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
+_ALBEDO = ("albedo.r", "albedo.g", "albedo.b")
+_NORMAL = ("normal.x", "normal.y", "normal.z")
+_PREVIOUS = ("previous.r", "previous.g", "previous.b")
+_PREVIOUS_LUMINANCE, _PREVIOUS_VALID = "previous.luminance", "previous.valid"
+_BLOCK = 8  # pixels: blocks whose means give the frame's typical irradiance
+
+
+def luminance(irradiance: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+    """Rec. 709 luminance of an ``(h, w, 3)`` image, or of ``(h, w, 4)`` irradiance and samples."""
+    if irradiance.shape[2] == 4:  # of three channels OpenCV transforms several pixels at once
+        irradiance = cv2.cvtColor(irradiance, cv2.COLOR_RGBA2RGB)
+    return cv2.transform(irradiance, _REC709, dst=out)
+
+
+def luminance_of_planes(planes: np.ndarray | Sequence[np.ndarray], out: np.ndarray) -> np.ndarray:
+    """`luminance` of ``(3 or more, h, w)`` into ``out`` of ``(h, w)``."""
+    red, green, blue = map(float, _REC709[0])
+    cv2.addWeighted(planes[0], red, planes[1], green, 0, dst=out)
+    return cv2.scaleAdd(planes[2], blue, out, dst=out)
+
+
+def frame_exposure(light: np.ndarray, options: Transfer) -> float:
+    """The scale that brings a frame's typical irradiance to ``middle``.
+
+    Typical is the median of the means of 8x8 blocks that are not black: fireflies and black
+    pixels, which are most of a frame at 1 sample a pixel, move it little.
+
+    Parameters
+    ----------
+    light : (h, w) float32
+        Irradiance luminance.
+
+    Returns
+    -------
+    float
+        1 / irradiance, positive and finite; scales inversely with the frame.
+    """
+    height, width = light.shape
+    size = (max(1, width // _BLOCK), max(1, height // _BLOCK))
+    blocks = cv2.resize(light, size, interpolation=cv2.INTER_AREA)
+    lit = blocks[blocks > 0]
+    if lit.size == 0:
+        return 1.0
+    typical = float(np.median(lit))
+    return min(max(options.middle / typical, 1e-30), 1e30)
+
+
+def steady_exposure(now: float, before: float, options: Transfer) -> float:
+    """Exposure of a sequence: a running mean of the logarithm, so that it does not pump."""
+    keep = options.exposure_memory
+    return math.exp(keep * math.log(before) + (1 - keep) * math.log(now))
+
+
+def tone_map(radiance: np.ndarray, exposure: float, out: np.ndarray | None = None) -> np.ndarray:
+    """``x e / (1 + x e)``, in [0, 1]; written to ``out`` if given."""
+    # written as 1 - 1 / (1 + x e): an overflow of x e gives 1, not Inf / Inf
+    with np.errstate(over="ignore"):
+        mapped: np.ndarray = np.multiply(radiance, np.float32(exposure), out=out)
+    mapped += 1
+    np.reciprocal(mapped, out=mapped)
+    return np.subtract(1, mapped, out=mapped)
+
+
+def local_luminance(toned: np.ndarray, options: Transfer) -> np.ndarray:
+    """Mean of the tone-mapped luminance over ``local_size``: what is usual around a pixel.
+
+    Tone mapping first bounds what one firefly adds to it.
+
+    Parameters
+    ----------
+    toned : (h, w) float32
+        `tone_map` of the irradiance's luminance, in [0, 1].
+
+    Returns
+    -------
+    (h, w) float32
+        In [0, 1], up to rounding.
+    """
+    kernel = np.full(options.local_size, 1 / options.local_size, np.float32)
+    # each window is added anew, so that a strip of rows gives what the whole frame gives
+    return cv2.sepFilter2D(toned, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REPLICATE)
+
+
+def depth_scale(depth: np.ndarray) -> float:
+    """Mean depth of what was hit: the unit of the depth feature."""
+    hit = cv2.countNonZero(depth)
+    return cv2.sumElems(depth)[0] / hit if hit else 1.0
+
+
+def feature_planes(
+    mean: np.ndarray,
+    local: np.ndarray,
+    exposure: float,
+    temporal: Temporal,
+    features: Sequence[str],
+    *,
+    sample: np.ndarray,
+    albedo: np.ndarray | None,
+    normal: np.ndarray | None,
+    depth: np.ndarray | None,
+    depth_unit: float,
+    out: np.ndarray,
+    scratch: Scratch | None = None,
+) -> None:
+    """Fill the planes that a network asks for.
+
+    Parameters
+    ----------
+    mean : (h, w, 4) float32
+        Accumulated irradiance and samples.
+    local : (h, w) float32
+        Local luminance of the accumulated irradiance, tone-mapped.
+    exposure
+        1 / irradiance.
+    temporal
+        Its ``max_samples`` scales the samples' plane.
+    features
+        Names of the planes, of `stillray.model_spec.loader.FEATURES`.
+    sample : (h, w) float32
+        Luminance of this frame's irradiance.
+    albedo, normal, depth
+        Features of the frame; planes of one that is missing are filled with 0.
+    depth_unit
+        See `depth_scale`.
+    out : (len(features), h, w) float32
+        Written: values in [0, 1] ([-1, 1] for normals).
+    scratch
+        Where temporaries lie, if given.
+    """
+    scratch = scratch or Scratch()
+    plane = dict(zip(features, out, strict=True))
+    *irradiance, samples = planes_of(mean, out=scratch.array("mean", (4, *local.shape)))
+    for name, light in zip("rgb", irradiance, strict=True):
+        if (target := plane.get(f"irradiance.{name}")) is not None:
+            # the square root opens the dark end of [0, 1], as a display gamma does
+            np.sqrt(tone_map(light, exposure, out=target), out=target)
+    if (target := plane.get("irradiance.luminance")) is not None:
+        light = luminance_of_planes(irradiance, out=target)
+        np.sqrt(tone_map(light, exposure, out=target), out=target)
+    if (target := plane.get("sample.luminance")) is not None:
+        np.sqrt(tone_map(sample, exposure, out=target), out=target)
+    if (target := plane.get("albedo.luminance")) is not None:
+        if albedo is None:
+            target.fill(0)
+        else:
+            luminance(albedo, out=target)
+    if (target := plane.get("local_luminance")) is not None:
+        np.sqrt(local, out=target)
+    if (target := plane.get("samples")) is not None:
+        np.add(samples, np.float32(temporal.max_samples / 4), out=target)
+        np.divide(samples, target, out=target)
+        np.sqrt(target, out=target)
+    for image, names in ((albedo, _ALBEDO), (normal, _NORMAL)):
+        for channel, name in enumerate(names):
+            if (target := plane.get(name)) is not None:
+                target[...] = 0 if image is None else image[..., channel]
+    if (target := plane.get("depth")) is not None:
+        if depth is None:
+            target[...] = 0
+        else:
+            np.add(depth, np.float32(depth_unit), out=target)
+            np.divide(depth, target, out=target)
+
+
+def previous_planes(
+    previous: np.ndarray | None,
+    divisor: np.ndarray | None,
+    exposure: float,
+    features: Sequence[str],
+    *,
+    out: np.ndarray,
+    scratch: Scratch | None = None,
+) -> None:
+    """Fill the planes of the previous output, for networks that ask for them.
+
+    Parameters
+    ----------
+    previous : (h, w, 4) float32 or None
+        Radiance of the previous output at these pixels and, last, how much of it is valid; None
+        where there is no past: zeros.
+    divisor : (h, w, 3) float32 or None
+        What radiance is divided by, so that the output compares with the irradiance.
+    exposure
+        1 / irradiance.
+    features
+        Names of the planes.
+    out : (len(features), h, w) float32
+        Written: values in [0, 1].
+    scratch
+        Where temporaries lie, if given.
+    """
+    plane = dict(zip(features, out, strict=True))
+    scratch = scratch or Scratch()
+    if previous is None:
+        for name in (*_PREVIOUS, _PREVIOUS_LUMINANCE, _PREVIOUS_VALID):
+            if name in plane:
+                plane[name].fill(0)
+        return
+    if (target := plane.get(_PREVIOUS_VALID)) is not None:
+        cv2.extractChannel(previous, 3, dst=target)
+    if (target := plane.get(_PREVIOUS_LUMINANCE)) is not None:
+        light = luminance(previous, out=target)
+        if divisor is not None:
+            by = luminance(divisor, out=scratch.array("light", light.shape))
+            light = np.divide(light, by, out=target)
+        np.sqrt(tone_map(light, exposure, out=target), out=target)
+    if any(name in plane for name in _PREVIOUS):
+        planes = planes_of(previous, out=scratch.array("previous", (4, *previous.shape[:2])))
+        for channel, name in enumerate(_PREVIOUS):
+            if (target := plane.get(name)) is not None:
+                light = planes[channel]
+                if divisor is not None:
+                    light = np.divide(light, divisor[..., channel], out=target)
+                np.sqrt(tone_map(light, exposure, out=target), out=target)

@@ -1,0 +1,263 @@
+"""The previous output, brought to the current pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+
+from stillray.arrays.strips import Strips, pixels_of
+from stillray.arrays.workspace import Scratch
+from stillray.model_spec.loader import ModelSpec, PyramidKernels
+from stillray.stages import features as encode
+from stillray.stages.prepare import History, Prepared
+from stillray.stages.reproject import bilinear
+from stillray.timing import timed
+
+_AROUND, _FOUR = np.ones((3, 3), np.uint8), np.ones((2, 2), np.uint8)
+# Shares of the four taps that lie in the frame: below the first, light fades instead of being
+# normalised; above the second, only rounding is missing.
+_LEAST_VALID, _WHOLE = np.float32(1e-3), np.float32(1 - 1e-3)
+# No division by 0; and the most that cubic convolution, limited to the four pixels around, can be
+# above their mean: one of them may have all the light and, 1/64 pixel off, 1/4096 of the weight.
+_DARK, _MOST = np.float32(1e-30), np.float32(4096)
+
+
+def recalled(
+    history: History | None,
+    prepared: Prepared,
+    spec: ModelSpec,
+    strips: Strips,
+    timings: dict[str, float],
+    kept: Scratch | None = None,
+) -> np.ndarray | None:
+    """The previous output at a prepared frame's pixels, or None where there is no past.
+
+    It lies in ``kept`` if that is given, or in the history where nothing moves.
+    """
+    if history is None or history.output is None or prepared.motion is None:
+        return None
+    if history.output.shape[:2] != prepared.motion.shape[:2]:
+        return None
+    with timed(timings, "recall"):
+        out = None if kept is None else kept.array("recalled", history.output.shape)
+        positions = prepared.picture_positions
+        past = recall(history.output, positions, strips, out, sharp=is_sharp(spec))
+        return forget_uncovered(past, history.output, prepared)
+
+
+def forget_uncovered(past: np.ndarray, output: np.ndarray, prepared: Prepared) -> np.ndarray:
+    """The recalled output without what the frame has just uncovered: zeros there.
+
+    Where no tap of the history was accepted, nor around, the surface was not seen before, and what
+    the last output shows there is another one. Thin lines of such pixels are edges of surfaces,
+    which the samples of a frame meet on either side: they keep their past.
+
+    Parameters
+    ----------
+    past : (h, w, 4) float32
+        What `recall` gave; written and returned, but where it is ``output`` itself a copy is.
+    output : (h, w, 4) float32
+        The last output, which belongs to the history; not changed.
+    prepared
+        The frame; what is ``fresh`` in it had no past.
+    """
+    if prepared.fresh is None:
+        return past
+    uncovered = np.flatnonzero(cv2.morphologyEx(prepared.fresh, cv2.MORPH_OPEN, _AROUND))
+    if not uncovered.size:
+        return past
+    if past is output:
+        past = past.copy()
+    pixels_of(past)[uncovered] = 0
+    return past
+
+
+def remember(image: np.ndarray, strips: Strips, spare: History | None = None) -> np.ndarray:
+    """An output as the next frame wants it: ``(h, w, 4)``, a copy, with 1 for "valid" last.
+
+    It lies in the arrays of a history that nobody needs any more, if one is given.
+    """
+    height, width = image.shape[:2]
+    out = None if spare is None else spare.output
+    if out is None or out.shape[:2] != image.shape[:2]:
+        out = np.empty((height, width, 4), np.float32)
+    kept = out
+
+    def work(rows: slice) -> None:
+        # alpha of float images is 1
+        cv2.cvtColor(image[rows], cv2.COLOR_RGB2RGBA, dst=kept[rows])
+
+    strips.run(work, height, width)
+    return out
+
+
+def recall(
+    output: np.ndarray,
+    positions: np.ndarray | None,
+    strips: Strips,
+    out: np.ndarray | None = None,
+    *,
+    sharp: bool = False,
+) -> np.ndarray:
+    """Look the previous output up where the pixels' picture was.
+
+    No geometry is compared here: the edges of an output are smooth, as those of a photograph are,
+    and the network decides by what it sees how much of the past a pixel keeps.
+
+    Parameters
+    ----------
+    output : (h, w, 4) float32
+        See `remember`.
+    positions : (h, w, 2) float32 or None
+        x and y, pixels, finite, see `stillray.stages.prepare.Prepared`; None where nothing moves.
+    strips
+        Where the work runs.
+    out : (h, w, 4) float32, optional
+        Written and returned where something moves.
+    sharp
+        Give each color the luminance that cubic convolution has there (Keys 1981, with the factor
+        -0.75 that OpenCV takes), limited to the range of the four pixels around: a mean of four,
+        frame after frame, would wash out every edge of a moving picture. Cubic convolution rounds
+        positions to 1/32 pixel. Where one of the four is outside, bilinear.
+
+    Returns
+    -------
+    (h, w, 4) float32
+        Radiance, and how much of it lay in the frame, [0, 1]; zeros outside.
+    """
+    if positions is None:
+        return output
+    past = np.empty((*positions.shape[:2], 4), np.float32) if out is None else out
+    light = _Luminance(output, strips) if sharp else None
+
+    def work(rows: slice) -> None:
+        taken, scratch = past[rows], strips.scratch
+        valid = _mean_of_taps(output, positions[rows], taken, scratch)
+        if light is not None:
+            factor = light.sharpening(positions[rows], taken, valid, scratch)
+            _scale(taken, factor, scratch)
+
+    strips.run(work, *positions.shape[:2])
+    return past
+
+
+def recall_of_layers(
+    output: np.ndarray, positions: np.ndarray | None, spec: ModelSpec, strips: Strips
+) -> Callable[[np.ndarray], np.ndarray]:
+    """How the previous outputs of layers are brought to the current pixels.
+
+    Layers add up to the beauty only if they are sharpened as the beauty is, whatever they hold.
+
+    Parameters
+    ----------
+    output, positions, strips
+        As for `recall`, of the beauty.
+    spec
+        Of the model.
+
+    Returns
+    -------
+    Callable
+        From a layer's previous output, see `remember`, to what `recall` gives.
+    """
+    if positions is None or not is_sharp(spec):
+        return lambda layer: recall(layer, positions, strips)
+    height, width = positions.shape[:2]
+    light, factor = _Luminance(output, strips), np.empty((height, width), np.float32)
+
+    def sharpening(rows: slice) -> None:
+        scratch = strips.scratch
+        taken = scratch.array("taken", (*factor[rows].shape, 4))
+        valid = _mean_of_taps(output, positions[rows], taken, scratch)
+        factor[rows] = light.sharpening(positions[rows], taken, valid, scratch)
+
+    strips.run(sharpening, height, width)
+
+    def follow(layer: np.ndarray) -> np.ndarray:
+        past = recall(layer, positions, strips)
+        _scale(past, factor, strips.scratch)
+        return past
+
+    return follow
+
+
+def is_sharp(spec: ModelSpec) -> bool:
+    """Whether a model recalls its outputs by sharp interpolation."""
+    return isinstance(spec.decoder, PyramidKernels) and spec.decoder.sharp_recall
+
+
+class _Luminance:
+    """An output's luminance, and the range of each 2x2 pixels from the top left one.
+
+    Lies in the calling thread's scratch arrays until the next one is made.
+    """
+
+    def __init__(self, output: np.ndarray, strips: Strips) -> None:
+        height, width = output.shape[:2]
+        scratch = strips.scratch
+        self._values, self._least, self._most = (
+            scratch.array(f"luminance, {name}", (height, width))
+            for name in ("values", "least", "most")
+        )
+
+        def work(rows: slice) -> None:
+            below = slice(rows.start, min(rows.stop + 1, height))
+            shape = output[below].shape[:2]
+            values = encode.luminance(output[below], out=strips.scratch.array("values", shape))
+            count = rows.stop - rows.start
+            self._values[rows] = values[:count]
+            for limit, extremes in ((cv2.erode, self._least), (cv2.dilate, self._most)):
+                extremes[rows] = limit(values, _FOUR, anchor=(0, 0))[:count]
+
+        strips.run(work, height, width)
+
+    def sharpening(
+        self, positions: np.ndarray, taken: np.ndarray, valid: np.ndarray, scratch: Scratch
+    ) -> np.ndarray:
+        """What makes linear interpolation as sharp as cubic convolution: a factor, ``(h, w)``.
+
+        Parameters
+        ----------
+        positions : (h, w, 2) float32
+        taken, valid
+            What `_mean_of_taps` gave.
+        scratch
+            Where the result lies.
+        """
+        border, shape = cv2.BORDER_REPLICATE, valid.shape
+        sharp, limit, linear = (scratch.array(name, shape) for name in ("sharp", "limit", "linear"))
+        cv2.remap(self._values, positions, None, cv2.INTER_CUBIC, sharp, border)
+        corner = np.floor(positions, out=scratch.array("corner", positions.shape))
+        for limited, extremes in ((cv2.max, self._least), (cv2.min, self._most)):
+            cv2.remap(extremes, corner, None, cv2.INTER_NEAREST, limit, border)
+            limited(sharp, limit, dst=sharp)
+        encode.luminance(taken, out=linear)
+        np.maximum(linear, _DARK, out=linear)
+        np.maximum(sharp, _DARK, out=sharp)
+        with np.errstate(over="ignore"):
+            np.divide(sharp, linear, out=sharp)
+        np.minimum(sharp, _MOST, out=sharp)
+        if valid.min() < _WHOLE:
+            sharp[valid < _WHOLE] = 1
+        return sharp
+
+
+def _scale(taken: np.ndarray, factor: np.ndarray, scratch: Scratch) -> None:
+    # alpha of float images is 1: what lay in the frame stays as it is
+    factors = cv2.cvtColor(factor, cv2.COLOR_GRAY2RGBA, dst=scratch.array("four", taken.shape))
+    cv2.multiply(taken, factors, dst=taken)
+
+
+def _mean_of_taps(
+    output: np.ndarray, positions: np.ndarray, taken: np.ndarray, scratch: Scratch
+) -> np.ndarray:
+    """Fill means of the taps that there are; the result says how much of them lay in the frame."""
+    bilinear(output, positions, taken)
+    valid = cv2.extractChannel(taken, 3, dst=scratch.array("valid", taken.shape[:2]))
+    if valid.min() < _WHOLE:
+        at = np.flatnonzero(valid < _WHOLE)
+        share = np.maximum(np.take(valid, at), _LEAST_VALID)  # nothing is 0, whatever divides it
+        taken.reshape(-1, 4)[at, :3] /= share[:, None]
+    return valid

@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from stillray.model_spec import load  # noqa: E402
+from stillray.models.registry import WHOLE_SUFFIX, find_model, list_models, read_model  # noqa: E402
+from stillray.models.session import open_session  # noqa: E402
+from stillray_export import parity, to_onnx  # noqa: E402
+from stillray_export.fuse import fuse  # noqa: E402
+from stillray_training.families import FAMILIES  # noqa: E402
+
+
+@pytest.fixture(scope="module", params=["wskp-3", "kpyr-5", "kpyr-5s", "nbg-2x3", "wskp-mr"])
+def exported(request, tmp_path_factory):
+    torch.manual_seed(3)
+    folder = tmp_path_factory.mktemp("models")
+    spec = load(request.param)
+    network = FAMILIES[spec.family].network(spec)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        path = to_onnx.export(network, spec, {"steps": 0, "scores": {"psnr": 1}}, folder)
+    return spec, network, path
+
+
+def test_exported_file_carries_its_spec_and_provenance(exported):
+    spec, network, path = exported
+    info = read_model(path)
+    assert info.spec == spec
+    assert info.scores == {"psnr": 1}
+    assert info.parameters == sum(p.numel() for p in fuse(network).parameters())
+    assert b"/site-packages/" not in path.read_bytes()
+
+
+def test_both_graphs_agree_with_the_network_at_every_size(exported):
+    spec, network, path = exported
+    whole = path.with_name(f"{spec.name}{WHOLE_SUFFIX}.onnx")
+    worst = parity.check(network, fuse(network), path.read_bytes(), whole.read_bytes(), spec)
+    assert set(worst) == {
+        "branches logits",
+        "merged logits",
+        "fused logits",
+        "onnx logits",
+        "torch decoder",
+        "runtime decoder",
+        "whole graph",
+    }
+
+
+def test_exported_logits_are_clipped_as_the_decoder_would(exported):
+    spec, network, path = exported
+    bound = getattr(spec.decoder, "logit_bound", None)
+    if bound is None:
+        pytest.skip("the decoder has no bound")
+    rng = np.random.default_rng(1)
+    shape = (1, len(spec.network.features), 16, 32)
+    features = rng.uniform(-1e3, 1e3, shape).astype(np.float32)
+    with torch.no_grad():
+        outputs = fuse(network)(torch.from_numpy(features))
+    wanted = [outputs] if isinstance(outputs, torch.Tensor) else outputs
+    got = open_session(path, threads=1).run(None, {"features": features})
+    assert max(level.abs().max() for level in wanted) > 2 * bound
+    for logits, level in zip(got, wanted, strict=True):
+        np.testing.assert_allclose(logits, level.clamp(-bound, bound), atol=0.01)
+
+
+def test_parity_fails_loudly_when_one_weight_is_off(exported):
+    spec, network, path = exported
+    whole = path.with_name(f"{spec.name}{WHOLE_SUFFIX}.onnx")
+    wrong = fuse(network)
+    convolution = [part for part in wrong.modules() if isinstance(part, torch.nn.Conv2d)][1]
+    convolution.weight.data[3, 2, 1, 1] += 0.01
+    with pytest.raises(parity.ParityError, match="fused logits must agree"):
+        parity.check(network, wrong, path.read_bytes(), whole.read_bytes(), spec)
+
+
+@pytest.mark.parametrize("name", [info.name for info in list_models()])
+def test_committed_whole_graph_agrees_with_the_committed_network(name):
+    import onnxruntime as ort
+
+    path = find_model(name).path
+    whole = path.with_name(f"{name}{WHOLE_SUFFIX}.onnx")
+    spec = find_model(name).spec
+    rng = np.random.default_rng(0)
+    features = rng.uniform(0, 1, (1, len(spec.network.features), 32, 48)).astype(np.float32)
+    arrays = parity.random_arrays(rng, 32, 48)
+    logits = ort.InferenceSession(str(path)).run(None, {"features": features})
+    given = {key: arrays[key] for key in FAMILIES[spec.family].inputs}
+    (image,) = ort.InferenceSession(str(whole)).run(None, {"features": features, **given})
+    decoded = parity.decoded(arrays, logits, spec)
+    unit = parity.image_unit(arrays, decoded["oracle"], spec)
+    assert (np.abs(image - decoded["runtime decoder"]) <= parity.IMAGE_TOLERANCE * unit).all()
+
+
+def test_committed_models_hold_the_specs_of_this_source():
+    for info in list_models():
+        assert info.spec == load(info.name)
+        assert {"data", "steps", "seed", "date", "scores"} <= set(info.provenance)

@@ -1,0 +1,196 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from stillray.arrays.strips import Strips, planes_of
+from stillray.families import kernel_pyramid as pyramid
+from stillray.families.pyramid_logits import level_layout, level_logits
+from stillray.model_spec import load
+from tests import oracles
+from tests.families.test_depth_to_space import by_blocks
+
+OPTIONS = load("kpyr-5").decoder
+LEVELS = 3  # what is tested holds for any number; three keep the oracle quick
+
+
+def draw(height, width, seed=0, spread=2.0, options=OPTIONS):
+    """Random decoder input: mean, sample, divisor, previous output, logits of the padded size."""
+    rng = np.random.default_rng(seed)
+    step = 1 << (LEVELS - 1)
+    padded = [-(-size // step) * step for size in (height, width)]
+    mean = np.dstack(
+        [rng.lognormal(0, 2, (height, width, 3)), rng.uniform(1e-3, 16, (height, width))]
+    )
+    sample = np.concatenate(
+        [rng.lognormal(0, 3, (3, height, width)), rng.uniform(1e-6, 1, (1, height, width))]
+    )
+    divisor = rng.uniform(0.1, 1, (height, width, 3))
+    previous = np.dstack(
+        [rng.lognormal(0, 2, (height, width, 3)), rng.uniform(0, 1, (height, width))]
+    )
+    logits = [
+        rng.normal(
+            size=(
+                level_logits(level, LEVELS, options),
+                *(s >> level for s in padded),
+            )
+        )
+        * spread
+        for level in range(LEVELS)
+    ]
+    single = [array.astype(np.float32) for array in (mean, sample, divisor, previous)]
+    return (*single, [level.astype(np.float32) for level in logits])
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (3, 5), (9, 14), (16, 8)])
+@pytest.mark.parametrize("spread", [2.0, 1e4])
+def test_pyramid_equals_the_loop_oracle(height, width, spread):
+    mean, sample, divisor, previous, logits = draw(height, width, spread=spread)
+    got = pyramid.filter_pyramid(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
+    expected = oracles.kernel_pyramid(mean, sample, divisor, previous, logits, OPTIONS)
+    # float32 sums of at most 25 products at each of three levels
+    np.testing.assert_allclose(got, expected, rtol=5e-6)
+
+
+def test_one_kernel_a_level_equals_the_loop_oracle():
+    options = dataclasses.replace(OPTIONS, kernel_sizes=(5,))
+    inputs = draw(9, 14, options=options)
+    got = pyramid.filter_pyramid(*inputs, options, Strips(1))
+    np.testing.assert_allclose(got, oracles.kernel_pyramid(*inputs, options), rtol=5e-6)
+
+
+def test_a_finest_level_without_kernels_equals_the_loop_oracle():
+    options = dataclasses.replace(OPTIONS, finest_kernels=False)
+    inputs = draw(9, 14, options=options)
+    got = pyramid.filter_pyramid(*inputs, options, Strips(1))
+    np.testing.assert_allclose(got, oracles.kernel_pyramid(*inputs, options), rtol=5e-6)
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (3, 5), (9, 14), (70, 18)])
+def test_predicted_weights_of_neighbours_equal_the_loop_oracle(height, width):
+    options = dataclasses.replace(OPTIONS, kernel_sizes=(5,), finest_kernels=False, predicted=True)
+    inputs = draw(height, width, options=options)
+    expected = oracles.kernel_pyramid(*inputs, options)
+    for threads in (1, 3):
+        got = pyramid.filter_pyramid(*inputs, options, Strips(threads))
+        np.testing.assert_allclose(got, expected, rtol=5e-6)
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (9, 14), (150, 70)])
+def test_logits_that_come_by_blocks_are_those_of_the_pixels(height, width):
+    *buffers, logits = draw(height, width)
+    blocks = by_blocks(logits[0])
+    expected = pyramid.filter_pyramid(*buffers, logits, OPTIONS, Strips(1))
+    for threads in (1, 3):
+        got = pyramid.filter_pyramid(*buffers, [blocks, *logits[1:]], OPTIONS, Strips(threads))
+        np.testing.assert_array_equal(got, expected)
+
+
+def coarser_alone(light, beside, above):
+    """A finest level that takes nothing but the coarser one, of this light and these logits."""
+    options = dataclasses.replace(OPTIONS, kernel_sizes=(1,), finest_kernels=False, predicted=False)
+    height, width = light.shape[:2]
+    fine = np.repeat(np.repeat(light, 2, 0), 2, 1)
+    layouts = [level_layout(level, 2, options) for level in range(2)]
+    logits = [
+        np.zeros((layout.double.stop, height * scale, width * scale), np.float32)
+        for layout, scale in zip(layouts, (2, 1), strict=True)
+    ]
+    for part in (layouts[0].blend, layouts[0].resolve, layouts[0].renew):
+        logits[0][part] = -1e9
+    logits[1][layouts[1].double] = np.concatenate([beside, above])
+    mean = np.dstack([fine, np.ones(fine.shape[:2])]).astype(np.float32)
+    options = dataclasses.replace(options, logit_bound=20.0)
+    return pyramid.filter_pyramid(mean, None, None, None, logits, options, Strips(1))
+
+
+def test_doubling_continues_a_slope():
+    y, x = np.mgrid[:9, :13]
+    light = np.stack([5 + x + 2 * y, 40 - 3 * x + y, np.full(x.shape, 2)], -1)
+    even = np.zeros((4, 9, 13), np.float32)
+    got = coarser_alone(light, even, even)
+    y, x = (np.mgrid[:18, :26] - 0.5) / 2
+    wanted = np.stack([5 + x + 2 * y, 40 - 3 * x + y, np.full(x.shape, 2)], -1)
+    np.testing.assert_allclose(got[1:-1, 1:-1], wanted[1:-1, 1:-1], rtol=1e-6)
+
+
+def test_doubling_takes_nothing_from_beyond_an_edge_that_the_network_found():
+    light = np.ones((6, 8, 3))
+    light[:, 4:] = 100  # an edge between columns
+    light[3:, :] *= 7  # and one between rows
+    beside, above = (np.zeros((4, 6, 8), np.float32) for _ in range(2))
+    beside[[1, 3], :, 3] = beside[[0, 2], :, 4] = -1e9
+    above[[2, 3], 2] = above[[0, 1], 3] = -1e9
+    got = coarser_alone(light, beside, above)
+    # e^-20 of light that is seven hundred times as bright
+    np.testing.assert_allclose(got, np.repeat(np.repeat(light, 2, 0), 2, 1), rtol=1e-5)
+    even = np.zeros_like(beside)
+    assert np.abs(coarser_alone(light, even, even) - got).max() > 10
+
+
+def test_threads_and_strips_do_not_change_the_picture():
+    mean, sample, divisor, previous, logits = draw(150, 70)
+    one = pyramid.filter_pyramid(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
+    three = pyramid.filter_pyramid(mean, sample, divisor, previous, logits, OPTIONS, Strips(3))
+    np.testing.assert_array_equal(one, three)
+
+
+def test_constant_light_stays_constant_whatever_the_logits():
+    mean, sample, _, previous, logits = draw(33, 18, spread=50)
+    mean[..., :3] = sample[:3] = previous[..., :3] = 3.7
+    got = pyramid.filter_pyramid(mean, sample, None, previous, logits, OPTIONS, Strips(1))
+    np.testing.assert_allclose(got, 3.7, rtol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_light_is_invented(seed):
+    mean, sample, _, previous, logits = draw(33, 18, seed, spread=20)
+    mean[5, 5, :3] = 1e30
+    got = pyramid.filter_pyramid(mean, sample, None, previous, logits, OPTIONS, Strips(1))
+    given = (mean, np.moveaxis(sample, 0, -1), previous)
+    both = np.concatenate([part[..., :3].reshape(-1, 3) for part in given])
+    assert np.isfinite(got).all()
+    assert (got >= both.min(0) * (1 - 1e-5)).all()
+    assert (got <= both.max(0) * (1 + 1e-5)).all()
+
+
+def test_a_logit_that_is_not_a_number_says_nothing():
+    mean, sample, divisor, previous, logits = draw(9, 14)
+    logits[1][2, 1, 1] = np.nan
+    zero = [level.copy() for level in logits]
+    zero[1][2, 1, 1] = 0
+    got, expected = (
+        pyramid.filter_pyramid(mean, sample, divisor, previous, maps, OPTIONS, Strips(1))
+        for maps in (logits, zero)
+    )
+    np.testing.assert_array_equal(got, expected)
+
+
+def test_invalid_previous_output_is_not_used():
+    mean, sample, divisor, previous, logits = draw(9, 14)
+    previous[..., 3] = 0
+    got = pyramid.filter_pyramid(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
+    without = pyramid.filter_pyramid(mean, sample, divisor, None, logits, OPTIONS, Strips(1))
+    np.testing.assert_array_equal(got, without)
+
+
+def test_one_frame_alone_needs_no_sample_beside_itself():
+    mean, _, divisor, previous, logits = draw(9, 14)
+    alone = pyramid.filter_pyramid(mean, None, divisor, previous, logits, OPTIONS, Strips(1))
+    logits[0][-1] = -100  # nothing is renewed: the accumulated light is left as it is
+    same = planes_of(mean)
+    got = pyramid.filter_pyramid(mean, same, divisor, previous, logits, OPTIONS, Strips(1))
+    # the bound of the logits leaves a share of exp(-8), which changes the samples held
+    np.testing.assert_allclose(got, alone, rtol=1e-2)
+
+
+def test_a_past_that_does_not_hold_can_be_let_go():
+    mean, sample, _, _, logits = draw(9, 14)
+    mean[..., :3], sample[:3] = 5.0, 1.0
+    mean[..., 3], sample[3] = 17.0, 1.0
+    logits[0][-1] = 100
+    got = pyramid.filter_pyramid(mean, sample, None, None, logits, OPTIONS, Strips(1))
+    assert got.max() < 1.03  # exp(8) to 17

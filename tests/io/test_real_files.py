@@ -1,0 +1,66 @@
+"""Files as renderers really write them are denoised without flags."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stillray.cli import main
+from stillray.io.exr.container import read_container
+from stillray.io.exr.read_write import read_exr, read_picture
+
+BLENDER = Path(__file__).parents[1] / "data/blender"
+
+
+def roughness(image):
+    """Mean difference of neighbours, of tone-mapped radiance: noise raises it."""
+    toned = image / (1 + image)
+    return np.abs(np.diff(toned, axis=0)).mean() + np.abs(np.diff(toned, axis=1)).mean()
+
+
+def test_blender_5_is_denoised_with_all_its_buffers_and_no_flags(tmp_path, monkeypatch):
+    shutil.copytree(BLENDER, tmp_path / "shot")
+    monkeypatch.chdir(tmp_path)
+    assert main(["denoise", "shot/frame_####.exr", "-o", "c.####.exr", "-m", "fast"]) == 0
+    for number in (1, 2):
+        noisy = read_exr(f"shot/frame_{number:04d}.exr")
+        assert noisy.given == {"color", "albedo", "normal", "depth", "motion"}
+        clean = read_picture(f"c.{number:04d}.exr")
+        assert clean.shape == noisy.color.shape
+        # the part of it that its texture, which stays, does not explain
+        assert roughness(clean) < 0.9 * roughness(noisy.color)
+        assert abs(clean.mean() / noisy.color.mean() - 1) < 0.1
+        parts = read_container(Path(f"c.{number:04d}.exr")).parts
+        assert parts[0].text("Software") == "Blender 5.0.1"
+
+
+@pytest.fixture(scope="module")
+def mitsuba_file(tmp_path_factory):
+    mitsuba = pytest.importorskip("mitsuba")
+    mitsuba.set_variant("scalar_rgb")
+    scene = mitsuba.cornell_box()
+    scene["sensor"]["film"] |= {"width": 45, "height": 33}
+    scene["integrator"] = {
+        "type": "aov",
+        "aovs": "albedo:albedo,nn:sh_normal,dd.y:depth,pos:position",
+        "img": {"type": "path", "max_depth": 4},
+    }
+    path = tmp_path_factory.mktemp("mitsuba") / "f.exr"
+    loaded = mitsuba.load_dict(scene)
+    mitsuba.render(loaded, spp=2, seed=1)
+    loaded.sensors()[0].film().write(str(path))
+    return path
+
+
+def test_mitsuba_is_denoised_with_all_its_buffers_and_no_flags(tmp_path, mitsuba_file):
+    noisy = read_exr(mitsuba_file)
+    assert noisy.given == {"color", "albedo", "normal", "depth"}
+    lengths = np.linalg.norm(noisy.normal, axis=-1)
+    assert lengths.max() < 1.01  # normals, not positions, which lie further out
+    hit = noisy.depth > noisy.depth.max() / 2  # beside the box nothing is
+    assert (lengths[hit] > 0.5).mean() > 0.8  # the pixel filter mixes them at edges
+    assert main(["denoise", str(mitsuba_file), "-o", str(tmp_path / "c.exr"), "-m", "fast"]) == 0
+    clean = read_picture(tmp_path / "c.exr")
+    assert roughness(clean) < 0.7 * roughness(noisy.color)
+    np.testing.assert_array_equal(read_exr(tmp_path / "c.exr").depth, noisy.depth)

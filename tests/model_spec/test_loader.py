@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+
+import pytest
+
+from stillray.model_spec import SpecError, from_json, load, parse
+
+
+@pytest.fixture
+def data():
+    return json.loads(load("wskp-3").to_json())
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "wskp-3",
+        "wskp-6",
+        "wskp-mr",
+        "kpyr-5",
+        "kpyr-5s",
+        "nbg-2x1",
+        "nbg-2x3",
+        "nbg-7x3",
+    ],
+)
+def test_spec_survives_the_metadata_of_a_model(name):
+    spec = load(name)
+    assert from_json(spec.to_json()) == spec
+
+
+def test_unknown_key_is_named(data):
+    data["decoder"]["kernal_sizes"] = [3]
+    with pytest.raises(SpecError, match=r"unknown key decoder\.kernal_sizes"):
+        parse(data)
+
+
+def test_every_missing_key_is_named(data):
+    for section, table in data.items():
+        keys = [(section,)] if not isinstance(table, dict) else [(section, key) for key in table]
+        for path in keys:
+            broken = copy.deepcopy(data)
+            owner = broken
+            for key in path[:-1]:
+                owner = owner[key]
+            del owner[path[-1]]
+            with pytest.raises(SpecError, match="missing key " + r"\.".join(path)):
+                parse(broken)
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value", "rule"),
+    [
+        ("network", "features", ["irradiance.r", "colour"], "network.features must be one of"),
+        ("decoder", "kernel_sizes", [3, 4], "must be odd"),
+        ("decoder", "logit_bound", 90.0, "decoder.logit_bound must be in"),
+        ("demodulate", "floor", 0.0, "demodulate.floor must be in"),
+        ("training", "steps", "many", "training.steps must be of type int"),
+        ("network", "branches", [5, 3], "network.branches"),
+        ("network", "kernel_sizes", [5, 5], "network.kernel_sizes must have 3 entries for 2"),
+    ],
+)
+def test_a_value_beyond_its_rule_is_named(data, section, key, value, rule):
+    data[section][key] = value
+    with pytest.raises(SpecError, match=rule):
+        parse(data)
+
+
+def test_a_family_has_tables_of_its_own(data):
+    data["family"] = "kernel-pyramid"
+    with pytest.raises(SpecError, match=r"unknown key|missing key (network|decoder)\."):
+        parse(data)
+    data["family"] = "bilateral-gird"
+    with pytest.raises(SpecError, match="family must be one of weight-sharing-kernels"):
+        parse(data)
+
+
+def test_a_pyramid_names_the_list_that_is_too_short():
+    data = json.loads(load("kpyr-5").to_json())
+    data["network"]["encoder_blocks"].pop()
+    with pytest.raises(SpecError, match=r"network.encoder_blocks must have 5 entries"):
+        parse(data)
+
+
+def test_unknown_model_lists_those_there_are():
+    with pytest.raises(
+        SpecError,
+        match="kpyr-5, kpyr-5s, nbg-2x1, nbg-2x3, nbg-7x3, wskp-3, wskp-6, wskp-mr, got",
+    ):
+        load("wskp-7")
+
+
+def test_specs_are_frozen():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        load("wskp-3").name = "x"
+
+
+def test_a_multi_resolution_model_does_not_work_on_blocks():
+    data = json.loads(load("wskp-mr").to_json())
+    data["network"]["block"] = 2
+    with pytest.raises(SpecError, match=r"network.block must be in \[1, 1\], got 2"):
+        parse(data)

@@ -1,0 +1,402 @@
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import stillray
+from stillray.families.registry import FAMILIES
+from stillray.frame import Frame
+from stillray.profiling.synthetic import swing
+from tests.conftest import ODD_SIZES, clean_color, make_frame
+
+MODELS = ["wskp-3", "wskp-6", "kpyr-5", "kpyr-5s", "nbg-2x3", "wskp-mr"]
+# float32 sums of 169 products, six kernels, and one division and multiplication by albedo
+ROUNDING = 1e-4
+
+
+@pytest.fixture(params=MODELS)
+def denoiser(request):
+    with stillray.Denoiser(request.param) as made:
+        yield made
+
+
+def _psnr(image, reference):
+    return -10 * np.log10(np.mean((np.clip(image, 0, 1) - np.clip(reference, 0, 1)) ** 2))
+
+
+def test_noise_goes_and_more_frames_are_better(denoiser):
+    truth = clean_color(96, 128)
+    images = [denoiser.denoise(make_frame(96, 128, seed)) for seed in range(8)]
+    noisy = _psnr(make_frame(96, 128, 0).color, truth)
+    assert _psnr(images[0], truth) > noisy + 8
+    assert _psnr(images[-1], truth) > _psnr(images[0], truth) + 1
+
+
+@pytest.mark.parametrize("size", [*ODD_SIZES, (1, 300), (257, 2)])
+def test_every_size_gives_a_finite_picture_of_that_size(size, denoiser):
+    for seed in range(2):
+        image = denoiser.denoise(make_frame(*size, seed))
+        assert image.shape == (*size, 3)
+        assert image.dtype == np.float32
+        assert np.isfinite(image).all()
+
+
+@pytest.mark.parametrize("value", [0.0, 1e-6, 0.3, 1.0, 6e4, 1e6])
+def test_a_constant_frame_stays_constant(value, denoiser):
+    for _ in range(3):
+        image = denoiser.denoise(Frame(color=np.full((33, 18, 3), value), motion=_still(33, 18)))
+        np.testing.assert_allclose(image, value, rtol=ROUNDING)
+
+
+def _still(height, width):
+    return np.zeros((height, width, 2), np.float32)
+
+
+@pytest.mark.parametrize("exponent", [-6, -3, 3, 6])
+def test_the_result_scales_with_exposure(exponent, denoiser):
+    scale = np.float32(2.0**exponent * 10.0**exponent)
+    base, scaled = [], []
+    for seed in range(2):
+        base.append(denoiser.denoise(make_frame(33, 18, seed)))
+    denoiser.reset()
+    for seed in range(2):
+        frame = make_frame(33, 18, seed)
+        scaled.append(
+            denoiser.denoise(
+                Frame(
+                    color=frame.color * scale, albedo=frame.albedo, normal=frame.normal,
+                    depth=frame.depth, motion=frame.motion,
+                )
+            )
+        )  # fmt: skip
+    # rounding of the exposure moves logits by about 1e-5
+    np.testing.assert_allclose(np.array(scaled) / scale, base, rtol=2e-3)
+
+
+@pytest.mark.parametrize("firefly", [1e3, 1e8, 1e30, 3e38, np.inf])
+def test_a_firefly_stays_finite_and_within_reach_of_its_window(firefly, denoiser):
+    reach = FAMILIES[denoiser.model.family].reach(denoiser.model.spec)
+    color = np.full((40, 40 + reach, 3), 0.25, np.float32)
+    color[20, 20] = firefly
+    image = denoiser.denoise(Frame(color=color))
+    assert np.isfinite(image).all()
+    far = np.ones(image.shape[:2], bool)
+    far[max(20 - reach, 0) : 21 + reach, max(20 - reach, 0) : 21 + reach] = False
+    assert far.any()
+    np.testing.assert_allclose(image[far], 0.25, rtol=ROUNDING)
+    assert image.min() >= 0.25 * (1 - ROUNDING)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.5, 1.0])
+def test_nan_and_infinite_pixels_do_not_spread(share, denoiser):
+    rng = np.random.default_rng(0)
+    color = np.full((33, 18, 3), 0.5, np.float32)
+    broken = rng.random((33, 18)) < share
+    color[broken] = rng.choice([np.nan, np.inf, -np.inf], (broken.sum(), 3))
+    for _ in range(2):
+        image = denoiser.denoise(Frame(color=color, motion=_still(33, 18)))
+        np.testing.assert_allclose(image, 0.0 if share == 1 else 0.5, rtol=ROUNDING)
+
+
+def test_features_may_hold_anything(denoiser):
+    rng = np.random.default_rng(1)
+    bad = np.array([np.nan, np.inf, -np.inf, -5, 7, 1e30, 0])
+    for _ in range(3):
+        frame = Frame(
+            color=rng.random((33, 18, 3)), albedo=rng.choice(bad, (33, 18, 3)),
+            normal=rng.choice(bad, (33, 18, 3)), depth=rng.choice(bad, (33, 18)),
+            motion=rng.choice(bad, (33, 18, 2)),
+        )  # fmt: skip
+        image = denoiser.denoise(frame)
+        assert np.isfinite(image).all()
+        assert image.min() >= 0
+
+
+def test_black_albedo_loses_no_light(denoiser):
+    color = np.full((33, 18, 3), 0.7, np.float32)
+    image = denoiser.denoise(Frame(color=color, albedo=np.zeros((33, 18, 3))))
+    np.testing.assert_allclose(image, 0.7, rtol=ROUNDING)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@settings(max_examples=10, deadline=None)
+@given(
+    height=st.integers(1, 30), width=st.integers(1, 30), seed=st.integers(0, 2**31),
+    firefly=st.sampled_from([0.0, 1e3, 1e8, 6e4]), frames=st.integers(1, 3),
+)  # fmt: skip
+def test_result_stays_in_the_range_of_the_input_of_its_window(
+    model, height, width, seed, firefly, frames
+):
+    # without albedo and with a still camera the input of a window is its pixels so far
+    rng = np.random.default_rng(seed)
+    seen = []
+    with stillray.Denoiser(model, threads=1) as denoiser:
+        family = FAMILIES[denoiser.model.family]
+        # a previous output brings light from as far again
+        reach = family.reach(denoiser.model.spec) * (frames if family.recalls else 1)
+        for _ in range(frames):
+            color = rng.random((height, width, 3)).astype(np.float32)
+            color[rng.integers(height), rng.integers(width)] = firefly
+            seen.append(color)
+            image = denoiser.denoise(Frame(color=color, motion=_still(height, width)))
+    low, high = np.min(seen, axis=0), np.max(seen, axis=0)
+    for y in range(height):
+        for x in range(width):
+            window = tuple(slice(max(at - reach, 0), at + reach + 1) for at in (y, x))
+            assert (image[y, x] >= low[window].min((0, 1)) * (1 - ROUNDING)).all()
+            assert (image[y, x] <= high[window].max((0, 1)) * (1 + ROUNDING)).all()
+
+
+def test_a_still_camera_keeps_its_picture_and_its_light(denoiser):
+    truth = clean_color(48, 64)
+    quality = []
+    for index in range(40):
+        image = denoiser.denoise(make_frame(48, 64, index))
+        quality.append(_psnr(image, truth))
+    assert min(quality[20:]) > quality[0] + 2  # what is fed back neither drifts nor blurs away
+    # outlier weights and a loss that leads to medians both take a little light
+    assert image.mean() == pytest.approx(truth.mean(), rel=0.05)
+
+
+def test_reset_gives_the_first_frame_again(denoiser):
+    first = denoiser.denoise(make_frame(33, 18, 0))
+    second = denoiser.denoise(make_frame(33, 18, 0))
+    denoiser.reset()
+    np.testing.assert_array_equal(denoiser.denoise(make_frame(33, 18, 0)), first)
+    assert not np.array_equal(first, second)
+
+
+def test_a_new_size_starts_anew(denoiser):
+    denoiser.denoise(make_frame(33, 18, 0))
+    small = denoiser.denoise(make_frame(20, 21, 1))
+    denoiser.reset()
+    np.testing.assert_array_equal(denoiser.denoise(make_frame(20, 21, 1)), small)
+
+
+def test_history_is_a_value_that_can_be_kept_and_put_back(denoiser):
+    denoiser.denoise(make_frame(33, 18, 0))
+    kept = denoiser.history
+    copy = kept.mean.copy()
+    once = denoiser.denoise(make_frame(33, 18, 1))
+    denoiser.denoise(make_frame(33, 18, 2))
+    np.testing.assert_array_equal(kept.mean, copy)
+    denoiser.history = kept
+    np.testing.assert_array_equal(denoiser.denoise(make_frame(33, 18, 1)), once)
+
+
+def test_a_history_that_nobody_holds_is_written_over_without_a_trace(denoiser):
+    frames = [make_frame(33, 18, seed, shift=0.7) for seed in range(5)]
+    alone = [denoiser.denoise(frame) for frame in frames]
+    denoiser.reset()
+    watched, kept = [], []
+    for frame in frames:  # whoever looks at the history makes it his own
+        watched.append(denoiser.denoise(frame))
+        kept.append(
+            (denoiser.history, denoiser.history.mean.copy(), denoiser.history.guides.copy())
+        )
+    np.testing.assert_array_equal(watched, alone)
+    for history, mean, guides in kept:
+        np.testing.assert_array_equal(history.mean, mean)
+        np.testing.assert_array_equal(history.guides, guides)
+
+
+def test_pictures_are_the_caller_s(denoiser):
+    images = [denoiser.denoise(make_frame(33, 18, seed)) for seed in range(3)]
+    copies = [image.copy() for image in images]
+    denoiser.denoise(make_frame(33, 18, 3))
+    np.testing.assert_array_equal(images, copies)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e6, -1e30])
+def test_motion_from_nowhere_brings_no_history(value, denoiser):
+    first, second = make_frame(33, 18, 0), make_frame(33, 18, 1)
+    denoiser.denoise(first)
+    lost = dataclasses.replace(second, motion=np.full((33, 18, 2), value, np.float32))
+    denoiser.denoise(lost)
+    # the sample of this frame alone, which is worth at most 1
+    assert denoiser.history.mean[..., 3].max() <= 1
+
+
+def test_a_box_that_moved_away_leaves_no_ghost(denoiser):
+    for seed in range(4):
+        denoiser.denoise(make_frame(48, 64, seed, shift=0.0))
+    image = denoiser.denoise(make_frame(48, 64, 9, shift=16.0))
+    fresh = image  # the uncovered wall holds this frame's sample only
+    samples = denoiser.history.mean[..., 3]
+    row = 24
+    uncovered = slice(64 // 2 - 12, 64 // 2 - 12 + 8)
+    assert samples[row, uncovered].max() <= 1
+    assert samples[2, 2] > 3
+    wall = clean_color(48, 64)[2, 2] / clean_color(48, 64)[2, 2].max()
+    seen = fresh[row, uncovered].mean(0)
+    np.testing.assert_allclose(seen / seen.max(), wall, atol=0.25)
+
+
+def test_threads_do_not_change_the_picture():
+    images = []
+    for threads in (1, 2, 5):
+        with stillray.Denoiser("wskp-3", threads=threads) as denoiser:
+            images.append(
+                [denoiser.denoise(make_frame(300, 401, seed, shift=1.3)) for seed in range(2)]
+            )
+    np.testing.assert_array_equal(images[0], images[1])
+    np.testing.assert_array_equal(images[0], images[2])
+
+
+def test_inputs_are_never_changed(denoiser):
+    frame = make_frame(33, 18, 0)
+    before = [array.copy() for array in (frame.color, frame.albedo, frame.normal, frame.motion)]
+    for _ in range(2):
+        denoiser.denoise(frame)
+    for array, copy in zip(
+        (frame.color, frame.albedo, frame.normal, frame.motion), before, strict=True
+    ):
+        np.testing.assert_array_equal(array, copy)
+
+
+def test_one_image_call_equals_a_stream_s_first_frame():
+    frame = make_frame(33, 18, 0)
+    image = stillray.denoise(
+        frame.color, frame.albedo, frame.normal, depth=frame.depth, quality="fast"
+    )
+    with stillray.Denoiser("fast") as denoiser:
+        np.testing.assert_array_equal(image, denoiser.denoise(frame))
+
+
+def test_half_precision_buffers_are_taken():
+    frame = make_frame(9, 9, 0)
+    color = frame.color.astype(np.float16)
+    np.testing.assert_array_equal(
+        stillray.denoise(color), stillray.denoise(color.astype(np.float32))
+    )
+
+
+def _runs(denoiser, frame):
+    return {stage.name: stage.runs for stage in denoiser.stages(frame)}
+
+
+def test_stages_that_a_frame_does_not_call_for_are_not_run(denoiser):
+    plain = Frame(color=np.ones((9, 9, 3)))
+    denoiser.denoise(plain)
+    assert {"warp", "demodulate", "modulate", "upscale"}.isdisjoint(denoiser.last_timings)
+    assert not _runs(denoiser, plain)["demodulate"]
+    frame = make_frame(9, 9, 0, shift=1.0)
+    assert not _runs(denoiser, frame)["repair"]
+    assert _runs(denoiser, frame)["warp"]
+    denoiser.denoise(frame)
+    assert "warp" in denoiser.last_timings
+    assert ("modulate" in denoiser.last_timings) == _runs(denoiser, frame)["modulate"]
+    broken = Frame(color=np.full((9, 9, 3), np.nan))
+    assert _runs(denoiser, broken)["repair"]
+    assert all(stage.reason for stage in denoiser.stages(frame))
+
+
+def test_moving_frames_without_motion_use_no_history(denoiser):
+    first = Frame(color=np.random.default_rng(0).random((9, 9, 3)))
+    image = denoiser.denoise(first)
+    np.testing.assert_array_equal(denoiser.denoise(first), image)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"color": np.ones((4, 5))}, r"color must have shape \(height, width, 3\), got \(4, 5\)"),
+        ({"color": np.ones((0, 5, 3))}, "color must have shape"),
+        ({"color": np.array("x")}, "color must be a real array"),
+        (
+            {"color": np.ones((4, 5, 3)), "albedo": np.ones((2, 5, 3))},
+            r"albedo must have shape \(4, 5, 3\) like color, got \(2, 5, 3\)",
+        ),
+        (
+            {"color": np.ones((4, 5, 3)), "depth": np.ones((4, 5, 2))},
+            r"depth must have shape \(4, 5\) like color, got \(4, 5, 2\)",
+        ),
+        ({"color": np.ones((4, 5, 3)), "jitter": np.ones(3)}, "jitter must have shape"),
+    ],
+)
+def test_a_wrong_buffer_is_named_with_its_rule_and_value(arguments, message):
+    with pytest.raises(stillray.InputError, match=message):
+        Frame(**arguments)
+
+
+def test_an_unknown_model_lists_those_there_are():
+    names = "kpyr-5, kpyr-5s, nbg-2x1, nbg-2x3, nbg-7x3, wskp-3, wskp-6, wskp-mr"
+    with pytest.raises(stillray.InputError, match=rf"one of {names}, .*fast.*got best"):
+        stillray.Denoiser("best")
+
+
+def test_a_file_that_is_no_model_is_refused(tmp_path):
+    path = tmp_path / "x.onnx"
+    path.write_bytes(b"not a model")
+    with pytest.raises(stillray.InputError, match="not a usable ONNX model"):
+        stillray.Denoiser(path)
+    with pytest.raises(stillray.InputError, match="no such model file"):
+        stillray.Denoiser(tmp_path / "none.onnx")
+
+
+def test_bad_threads_and_providers_are_refused():
+    with pytest.raises(stillray.InputError, match="threads must be 1 or more, got 0"):
+        stillray.Denoiser("fast", threads=0)
+    with pytest.raises(stillray.InputError, match=r"providers must be among .*, got Nonsense"):
+        stillray.Denoiser("fast", providers=["Nonsense"])
+
+
+def test_the_host_s_thread_keeps_its_denormals(denoiser):
+    denoiser.denoise(make_frame(16, 16))
+    dark = np.full(64, 1e-40, np.float32)
+    assert (dark * np.float32(1) > 0).all()
+
+
+def test_import_loads_neither_training_nor_inference_engine_nor_model():
+    code = (
+        "import sys, stillray; heavy = {'torch', 'mitsuba', 'onnxruntime', 'onnx', 'OpenImageIO',"
+        "'stillray_training', 'stillray_export'} & set(sys.modules); print(sorted(heavy))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_command_line_loads_no_evaluation_until_it_is_asked_for():
+    code = (
+        "import sys, stillray.cli; stillray.cli.build_app();"
+        "print([m for m in sys.modules if m.startswith('stillray_training') or m == 'matplotlib'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_runtime_never_imports_training_or_export():
+    from pathlib import Path
+
+    sources = Path(stillray.__file__).parent.rglob("*.py")
+    for source in sources:
+        text = source.read_text()
+        # the one doorway to the evaluation, which a function opens; nothing that denoises has one
+        if source.name != "tradeoff.py" or source.parent.name != "cli":
+            assert "stillray_training" not in text, source
+        assert "stillray_export" not in text, source
+        assert "import torch" not in text, source
+
+
+@pytest.mark.parametrize("model", ["wskp-3", "kpyr-5", "kpyr-5s"])
+def test_a_warm_frame_takes_no_new_memory_but_for_its_picture(model):
+    frames = swing(540, 960)  # strips are much smaller
+    with stillray.Denoiser(model, threads=1) as denoiser:
+        for turn in range(4):
+            denoiser.denoise(frames[turn % 2])
+        tracemalloc.start()
+        before, _ = tracemalloc.get_traced_memory()
+        picture = denoiser.denoise(frames[0])
+        after, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    plane = 4 * 540 * 960
+    # the picture is the caller's; nothing else stays, histories change places
+    assert after - before < picture.nbytes + plane / 2
+    assert peak - before < 4 * plane

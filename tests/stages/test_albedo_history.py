@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import stillray
+from stillray.arrays.strips import Strips
+from stillray.frame import Frame
+from stillray.model_spec import load
+from stillray.stages import albedo_history as antialias
+from stillray.stages.reproject import positions_of
+from tests import oracles
+
+OPTIONS = load("wskp-3").temporal
+
+
+def accumulate(divisor, past, positions=None, threads=1, samples=OPTIONS.albedo_samples):
+    remembered, modulator = np.empty_like(past), np.empty_like(divisor)
+    antialias.accumulate(divisor, past, samples, positions, remembered, modulator, Strips(threads))
+    return remembered, modulator
+
+
+def draw(rng, height, width):
+    divisor = rng.uniform(0.1, 1, (height, width, 3)).astype(np.float32)
+    divisor[rng.random((height, width)) < 0.03] = 1  # what has no albedo
+    past = rng.uniform(0.1, 1, (height, width, 4)).astype(np.float32)
+    past[..., 3] = 1
+    return divisor, past
+
+
+def moved(rng, height, width, far):
+    """Where each pixel was, up to so many pixels off, in steps that float32 holds exactly."""
+    steps = rng.integers(-256 * far, 256 * far, (height, width, 2), endpoint=True)
+    motion = (steps / 256).astype(np.float32)
+    return positions_of(motion, slice(0, height))
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (3, 5), (23, 18)])
+@pytest.mark.parametrize("moves", [True, False])
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_mean_equals_the_loop_oracle(rng, height, width, moves, threads):
+    divisor, past = draw(rng, height, width)
+    positions = moved(rng, height, width, far=5 if moves else 0)
+    found = accumulate(divisor, past, positions if moves else None, threads, samples=2.5)
+    expected = oracles.antialiased(divisor, past, 2.5, positions)
+    for got, wanted in zip(found, expected, strict=True):
+        np.testing.assert_allclose(got, wanted, rtol=2e-6, atol=2e-6)
+
+
+def test_the_mean_stays_in_the_range_of_the_pixels_around(rng):
+    divisor, past = draw(rng, 40, 33)
+    past[..., :3] *= 100
+    got, _ = accumulate(divisor, past, moved(rng, 40, 33, far=5))
+    padded = np.pad(divisor, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    around = [padded[a : a + 40, b : b + 33] for a in range(3) for b in range(3)]
+    assert (got[..., :3] >= np.min(around, 0) - 1e-6).all()
+    assert (got[..., :3] <= np.max(around, 0) + 1e-6).all()
+
+
+def test_what_comes_from_outside_is_this_frame_s_alone(rng):
+    divisor, past = draw(rng, 9, 14)
+    got, modulator = accumulate(divisor, past, np.full((9, 14, 2), 1e6, np.float32))
+    np.testing.assert_allclose(modulator, divisor, rtol=2e-7)
+    np.testing.assert_allclose(got[..., :3], divisor, rtol=2e-7)
+
+
+def test_beside_what_has_no_albedo_nothing_gets_brighter():
+    # dark leaves before a sky, whose edge a jittered camera samples on either side
+    past = np.empty((33, 46, 4), np.float32)
+    changed = 0
+    for index, shift in enumerate(np.random.default_rng(0).random((6, 2))):
+        divisor = np.where(covered(0.4, shift) > 0.5, 0.1, 1.0)[..., None]
+        divisor = np.repeat(divisor, 3, 2).astype(np.float32)
+        if index == 0:
+            antialias.begin(divisor, past)
+            continue
+        past, modulator = accumulate(divisor, past)
+        assert (modulator <= divisor).all()
+        changed += int((modulator < divisor).sum())
+    assert changed
+
+
+def test_an_albedo_that_stays_is_what_it_was(rng):
+    divisor, _ = draw(rng, 9, 14)
+    remembered = np.empty((9, 14, 4), np.float32)
+    antialias.begin(divisor, remembered)
+    for _ in range(1000):
+        remembered, modulator = accumulate(divisor, remembered)
+    np.testing.assert_allclose(modulator, divisor, rtol=2e-7)
+
+
+def test_each_of_the_first_frames_counts_alike():
+    # an albedo that is 0.2 in the first frame and 0.8 in all others, in reach of one another
+    spec = load("wskp-3")
+    motion = np.zeros((9, 14, 2), np.float32)
+    stripes = np.where(np.arange(14) % 2, 0.2, 0.8)[None, :, None]
+    frames = [np.broadcast_to(one, (9, 14, 3)) for one in (stripes, stripes[:, ::-1])]
+    held = []
+    with stillray.Denoiser(spec.name) as denoiser:
+        for index in range(6):
+            albedo = frames[min(index, 1)].astype(np.float32)
+            denoiser.denoise(Frame(color=albedo, albedo=albedo, motion=motion))
+            mean = denoiser.history.divisor[4, 6, 0]
+            held.append((mean - albedo[4, 6, 0]) / (frames[0][4, 6, 0] - albedo[4, 6, 0] + 1e-9))
+    # what is left of the first: 1/2, 1/3, ..., until the past is worth no more
+    np.testing.assert_allclose(held[1:5], [1 / 2, 1 / 3, 1 / 4, 1 / 5], rtol=1e-4)
+    np.testing.assert_allclose(held[5], 4 / 25, rtol=1e-4)
+
+
+def covered(slope, shift):
+    """An edge that leans, sampled at one point of each pixel: albedo 0.9 beyond it, else 0.2."""
+    row, column = np.mgrid[0:33, 0:46]
+    beyond = column + shift[0] > 20 + slope * (row + shift[1])
+    return np.where(beyond, 0.9, 0.2)
+
+
+def test_stairs_of_an_edge_are_smoothed_by_jittered_frames():
+    # the light is the same everywhere: all that a picture shows is the albedo
+    spec = load("wskp-3")
+    assert spec.temporal.albedo_samples > 0
+    shifts = [((i * 0.618 + 0.3) % 1, (i * 0.414 + 0.7) % 1) for i in range(9)]
+    fine = [(a / 16, b / 16) for a in range(16) for b in range(16)]
+    wanted = np.mean([covered(0.4, shift) for shift in fine], axis=0)
+    alone = covered(0.4, shifts[-1])
+    depth = np.full(wanted.shape, 2, np.float32)
+    with stillray.Denoiser("wskp-3") as denoiser:
+        for shift in shifts:
+            albedo = np.repeat(covered(0.4, shift)[..., None], 3, 2).astype(np.float32)
+            motion = np.zeros((*wanted.shape, 2), np.float32)
+            frame = Frame(color=albedo * 0.5, albedo=albedo, depth=depth, motion=motion)
+            image = denoiser.denoise(frame)
+    error = np.abs(image[..., 0] / 0.5 - wanted).mean()
+    assert error < 0.4 * np.abs(alone - wanted).mean()
+
+
+def test_without_motion_or_albedo_or_a_past_it_is_not_run(rng):
+    albedo = rng.random((9, 14, 3)).astype(np.float32)
+    motion = np.zeros((9, 14, 2), np.float32)
+    whole = Frame(color=albedo, albedo=albedo, motion=motion)
+    for temporal, frame, runs in (
+        (True, whole, True),
+        (False, whole, False),
+        (True, dataclasses.replace(whole, motion=None), False),
+        (True, dataclasses.replace(whole, albedo=None), False),
+    ):
+        with stillray.Denoiser("wskp-3", temporal=temporal) as denoiser:
+            denoiser.denoise(frame)
+            assert "antialias" not in denoiser.last_timings
+            planned = {stage.name: stage.runs for stage in denoiser.stages(frame)}
+            denoiser.denoise(frame)
+            assert ("antialias" in denoiser.last_timings) == planned["antialias"] == runs
+
+
+def test_after_a_frame_without_albedo_it_begins_anew(rng):
+    albedo = rng.random((9, 14, 3)).astype(np.float32)
+    frame = Frame(color=albedo, albedo=albedo, motion=np.zeros((9, 14, 2), np.float32))
+    with stillray.Denoiser("wskp-3") as denoiser:
+        denoiser.denoise(dataclasses.replace(frame, albedo=None))
+        for runs in (False, True):
+            planned = {stage.name: stage.runs for stage in denoiser.stages(frame)}
+            denoiser.denoise(frame)
+            assert ("antialias" in denoiser.last_timings) == planned["antialias"] == runs

@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillray.arrays.strips import planes_of
+from stillray.stages.repair import MAX_MOTION
+from stillray.stages.reproject import pack, reproject, rough_blocks
+from tests import oracles
+from tests.conftest import ODD_SIZES
+
+
+def _scene(size, seed):
+    rng = np.random.default_rng(seed)
+    history = rng.random((*size, 4)).astype(np.float32) * 8
+    faces = np.array([[0, 0, 1], [1, 0, 0], [0, 0, 0]], np.float32)  # two walls, background
+    kind_before, kind = rng.integers(0, 3, size), rng.integers(0, 3, size)
+    depths = np.array([2.0, 5.0, 0.0], np.float32)
+    motion = rng.normal(size=(*size, 2)).astype(np.float32) * 2
+    return history, faces[kind_before], depths[kind_before], faces[kind], depths[kind], motion
+
+
+def _guides(normal, depth):
+    return None if normal is None and depth is None else pack(normal, depth)
+
+
+def _run(history, before, now, motion, rows, spec):
+    rough = None
+    if before is not None:
+        rough = np.full((history.shape[0] + 1, history.shape[1] + 1), 7, np.uint8)
+        for top in range(0, history.shape[0], 5):
+            rough_blocks(before, slice(top, min(top + 5, history.shape[0])), rough)
+    now = None if now is None else planes_of(now)
+    return reproject(
+        history, before, rough, now, _positions(motion, rows), rows, spec.temporal
+    ).copy()
+
+
+def _positions(motion, rows):
+    if motion is None:
+        return None
+    row, column = np.mgrid[rows, 0 : motion.shape[1]]
+    return motion + np.stack([column, row], axis=-1).astype(np.float32)
+
+
+@pytest.mark.parametrize("size", [*ODD_SIZES, (40, 2)])
+@pytest.mark.parametrize("patch", [1, 7])
+def test_taps_are_accepted_one_by_one_like_the_loop_oracle(size, patch, spec):
+    # patches of one surface: their inner pixels take the quick way, their edges the other
+    history, *guides, motion = _scene(size, 3)
+    cells = tuple(np.arange(extent) // patch for extent in size)
+    normal_before, depth_before, normal, depth = (part[np.ix_(*cells)] for part in guides)
+    before, now = _guides(normal_before, depth_before), _guides(normal, depth)
+    got = _run(history, before, now, motion, slice(0, size[0]), spec)
+    expected = oracles.reproject(
+        history, normal_before, depth_before, normal, depth, motion, spec.temporal
+    )
+    # positions are float32: a tap share is off by 1e-5 at column 100, values go up to 8
+    np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-4)
+
+
+def test_a_slanted_surface_keeps_its_history(spec):
+    # depth falls by 3 % a pixel: neighbours are one surface
+    depth = np.broadcast_to(5 * 0.97 ** np.arange(24, dtype=np.float32), (9, 24)).copy()
+    guides = _guides(None, depth)
+    history = np.ones((9, 24, 4), np.float32)
+    motion = np.full((9, 24, 2), 0.5, np.float32)
+    got = _run(history, guides, guides, motion, slice(0, 9), spec)
+    np.testing.assert_allclose(got[:-1, :-1], 1, rtol=1e-5)
+
+
+def test_a_whole_pixel_move_returns_the_history_shifted(spec, rng):
+    history = rng.random((12, 9, 4)).astype(np.float32) + 0.1
+    motion = np.broadcast_to(np.float32([2, -3]), (12, 9, 2)).copy()
+    guides = _guides(None, None)
+    got = _run(history, guides, guides, motion, slice(0, 12), spec)
+    # previous = current + motion: row 3, column 0 was at row 0, column 2
+    np.testing.assert_allclose(got[3:, :7], history[:9, 2:], rtol=1e-6)
+    assert (got[:3] == 0).all()
+    assert (got[:, 7:] == 0).all()
+
+
+def test_rows_of_a_strip_equal_those_of_the_whole(spec):
+    history, normal_before, depth_before, normal, depth, motion = _scene((33, 18), 5)
+    before, now = _guides(normal_before, depth_before), _guides(normal, depth)
+    whole = _run(history, before, now, motion, slice(0, 33), spec)
+    rows = slice(11, 26)
+    strip = _run(history, before, now[rows], motion[rows], rows, spec)
+    np.testing.assert_array_equal(strip, whole[rows])
+
+
+def test_no_motion_checks_the_surface_all_the_same(spec):
+    history = np.ones((2, 2, 4), np.float32)
+    before = _guides(None, np.float32([[1, 1], [1, 1]]))
+    now = _guides(None, np.float32([[1, 9], [1.05, 0]]))
+    got = _run(history, before, now, None, slice(0, 2), spec)
+    np.testing.assert_array_equal(got[..., 3], [[1, 0], [1, 0]])
+
+
+@pytest.mark.parametrize("value", [MAX_MOTION, -MAX_MOTION, 6.0, -6.0])
+def test_motion_out_of_the_frame_brings_no_history(value, spec):
+    history = np.ones((5, 6, 4), np.float32)
+    motion = np.full((5, 6, 2), value, np.float32)
+    none = _guides(None, None)
+    got = _run(history, none, none, motion, slice(0, 5), spec)
+    assert (got == 0).all()
+
+
+def test_rough_blocks_are_those_with_more_than_one_surface():
+    normal = np.zeros((7, 9, 3), np.float32)
+    normal[..., 2] = 1
+    normal[3, 4] = [1, 0, 0]
+    depth = np.full((7, 9), 2, np.float32)
+    depth[5, 1] = 3
+    rough = np.full((8, 10), 7, np.uint8)
+    rough_blocks(pack(normal, depth), slice(0, 7), rough)
+    expected = np.zeros((8, 10), np.uint8)
+    expected[[0, -1]] = expected[:, [0, -1]] = 1  # blocks that stick out
+    expected[3:5, 4:6] = 1  # the four blocks that hold row 3, column 4
+    expected[5:7, 1:3] = 1
+    np.testing.assert_array_equal(rough, expected)
+
+
+@pytest.mark.parametrize("length", [0.3, 0.5, 0.9, 1.2, 1.7])
+def test_the_length_of_a_normal_says_nothing_of_its_surface(length):
+    unit = np.zeros((3, 4, 3), np.float32)
+    unit[...] = (0.6, 0, 0.8)
+    scaled = unit * np.float32(length)
+    scaled[1, 2] = 0  # background stays what it is
+    depth = np.full((3, 4), 2, np.float32)
+    packed, expected = pack(scaled, depth), pack(unit, depth)
+    expected[1, 2, :3] = (1, 0, 0)
+    # below a quarter in every component a normal points nowhere: all alike, told apart by depth
+    expected[..., :3] = (1, 0, 0) if length == 0.3 else expected[..., :3]
+    np.testing.assert_allclose(packed, expected, rtol=1e-6)

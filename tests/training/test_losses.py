@@ -1,0 +1,56 @@
+"""Training losses against their definitions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from skimage.metrics import structural_similarity
+
+from stillray_training.losses import displayed, dissimilarity, smape, unsteadiness
+
+
+def _nchw(seed: int) -> torch.Tensor:
+    rng = np.random.default_rng(seed)
+    return torch.from_numpy(rng.gamma(0.5, 0.3, (1, 3, 19, 23)).astype(np.float32))
+
+
+def test_smape_is_the_paper_s_equation():
+    image = torch.tensor([1.0, 0.0, 3.0])
+    reference = torch.tensor([3.0, 0.0, 3.0])
+    torch.testing.assert_close(smape(image, reference, 0.01), torch.tensor(2.0 / 4.01 / 3))
+
+
+def test_a_display_clips_and_opens_the_dark():
+    shown = displayed(torch.tensor([0.0, 0.1, 0.5, 9.0]))
+    # white is an exposed half
+    expected = [1e-3 ** (1 / 2.2), (0.2 + 1e-3) ** (1 / 2.2), *[1.001 ** (1 / 2.2)] * 2]
+    np.testing.assert_allclose(shown, expected, rtol=1e-6)
+
+
+def test_dissimilarity_is_one_minus_the_structural_similarity_of_the_mean_channel():
+    a, b = displayed(_nchw(1)), displayed(_nchw(2))
+    _, similarity = structural_similarity(
+        a[0].mean(0).double().numpy(), b[0].mean(0).double().numpy(),
+        win_size=7, data_range=1, use_sample_covariance=False, full=True,
+    )  # fmt: skip
+    wanted = 1 - similarity[3:-3:4, 3:-3:4].mean()
+    assert float(dissimilarity(a, b)) == pytest.approx(wanted, abs=1e-5)
+    assert float(dissimilarity(a, a)) == pytest.approx(0, abs=1e-6)
+
+
+def test_unsteadiness_is_the_change_where_the_last_output_was_right():
+    wanted, valid = displayed(_nchw(1)), torch.ones(1, 1, 19, 23)
+    shown = wanted * 0.9
+    steady = float(unsteadiness(shown, wanted, wanted, valid))
+    assert steady == pytest.approx(float((shown - wanted).abs().mean()), rel=1e-6)
+    assert float(unsteadiness(shown, wanted, wanted, 0 * valid)) == 0
+    # a light went on: what was shown before says nothing
+    assert float(unsteadiness(shown, wanted, 0 * wanted, valid)) < 0.2 * steady
+
+
+def test_losses_of_black_pixels_have_finite_gradients():
+    image = torch.zeros(1, 3, 9, 9, requires_grad=True)
+    shown, black = displayed(image), displayed(torch.zeros(1, 3, 9, 9))
+    (dissimilarity(shown, black) + unsteadiness(shown, black, black, black[:, :1])).backward()
+    assert torch.isfinite(image.grad).all()

@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+onnx = pytest.importorskip("onnx")
+
+from stillray.errors import InputError  # noqa: E402
+from stillray.models.registry import find_model  # noqa: E402
+from stillray.models.session import open_session  # noqa: E402
+from stillray_training.families import FAMILIES  # noqa: E402
+from stillray_training.start import start_from  # noqa: E402
+
+
+@pytest.mark.parametrize("name", ["kpyr-5", "fast", "wskp-3", "wskp-6", "wskp-mr", "nbg-7x3"])
+def test_training_goes_on_from_what_a_packaged_model_computes(name):
+    info = find_model(name)
+    network = FAMILIES[info.family].network(info.spec)
+    origin = start_from(name, network, info.spec)
+    assert origin["model"] == info.name
+    assert origin["steps"] == info.provenance["steps"]
+    assert origin["credits"] == info.provenance["credits"]
+    shape = (1, len(info.spec.network.features), 32, 48)
+    features = np.random.default_rng(1).random(shape, np.float32)
+    wanted = open_session(info.path, threads=1).run(None, {"features": features})
+    with torch.no_grad():
+        found = network(torch.from_numpy(features))
+    found = [found] if isinstance(found, torch.Tensor) else found
+    bound = getattr(info.spec.decoder, "logit_bound", None)
+    for one, other in zip(found, wanted, strict=True):
+        clipped = one if bound is None else one.clamp(-bound, bound)
+        np.testing.assert_allclose(clipped.numpy(), other, rtol=0, atol=2e-4)
+
+
+def test_a_packaged_model_starts_a_deeper_one():
+    shallow, deep = find_model("nbg-2x3"), find_model("nbg-7x3")
+    first, second = (FAMILIES[info.family].network(info.spec) for info in (shallow, deep))
+    start_from("nbg-2x3", first, shallow.spec)
+    origin = start_from(str(shallow.path), second, deep.spec)
+    assert origin["model"] == "nbg-2x3"
+    features = torch.rand(1, len(shallow.spec.network.features), 16, 24)
+    torch.testing.assert_close(second(features), first(features))
+
+
+def test_what_is_no_start_is_refused_by_name(tmp_path):
+    info = find_model("wskp-3")
+    network = FAMILIES[info.family].network(info.spec)
+    with pytest.raises(InputError, match=r"start must be a checkpoint.*got nothing.*wskp-3"):
+        start_from("nothing", network, info.spec)
+    model = onnx.load(info.path)
+    kept = [part for part in model.graph.initializer if "blocks.1" not in part.name]
+    del model.graph.initializer[:]
+    model.graph.initializer.extend(kept)
+    for node in model.graph.node:
+        if "blocks.1" in "".join(node.input):
+            node.input[1], node.input[2] = "network.blocks.2.weight", "network.blocks.2.bias"
+    onnx.save(model, tmp_path / "other.onnx")
+    with pytest.raises(InputError, match=r"must hold the weights of its spec, lacks.*blocks\.1"):
+        start_from(tmp_path / "other.onnx", network, info.spec)

@@ -1,0 +1,273 @@
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from stillray.arrays.strips import Strips  # noqa: E402
+from stillray.errors import InputError  # noqa: E402
+from stillray.io.exr.read_write import write_channels  # noqa: E402
+from stillray.model_spec import load  # noqa: E402
+from stillray_training import provenance, train  # noqa: E402
+from stillray_training.dataset import (  # noqa: E402
+    STARTS,
+    PatchSampler,
+    find_sequences,
+    load_examples,
+)
+from stillray_training.losses import displayed, dissimilarity  # noqa: E402
+from stillray_training.start import STARTED_FROM, start_from  # noqa: E402
+from tests.conftest import clean_color, make_frame  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """One tiny finished sequence, and one that was cut off."""
+    folder = tmp_path_factory.mktemp("data")
+    for name, finished in (("room-0000-0", True), ("room-0001-0", False)):
+        sequence = folder / name
+        sequence.mkdir()
+        for index in range(3):
+            frame = make_frame(40, 48, index)
+            layers = {
+                "": ("RGB", frame.color), "albedo.": ("RGB", frame.albedo),
+                "normal.": ("XYZ", frame.normal), "depth.": ("Z", frame.depth[..., None]),
+                "motion.": ("XY", frame.motion),
+            }  # fmt: skip
+            write_channels(
+                sequence / f"frame_{index:04d}.exr",
+                {
+                    prefix + channel: image[..., place]
+                    for prefix, (channels, image) in layers.items()
+                    for place, channel in enumerate(channels)
+                },
+            )
+        truth = clean_color(40, 48)
+        write_channels(sequence / "ref_0002.exr", {c: truth[..., i] for i, c in enumerate("RGB")})
+        if finished:
+            (sequence / "sequence.json").write_text("{}")
+    return folder
+
+
+@pytest.fixture
+def small():
+    spec = load("wskp-3")
+    recipe = dataclasses.replace(spec.training, steps=30, batch=2, patch=32, learning_rate=5e-3)
+    return dataclasses.replace(spec, training=recipe)
+
+
+def test_only_finished_sequences_are_learned_from(data):
+    assert [path.name for path in find_sequences(data)] == ["room-0000-0"]
+
+
+def test_examples_hold_one_sample_a_few_and_more(data, small):
+    examples = load_examples(find_sequences(data)[0], small, Strips(1))
+    held = [float(np.median(example.mean[..., 3])) for example in examples]
+    assert len(held) == len(STARTS) + 1
+    assert held[0] <= 1 < held[1]
+    assert [example.quiet for example in examples] == [False] * len(STARTS) + [True]
+    assert held[-1] <= 1
+
+
+def test_quiet_patches_come_as_often_as_asked(data, small):
+    examples = load_examples(find_sequences(data)[0], small, Strips(1))
+    for share, expected in ((0.0, False), (1.0, True)):
+        recipe = dataclasses.replace(small.training, quiet_share=share)
+        sampler = PatchSampler(examples, dataclasses.replace(small, training=recipe))
+        batch = sampler.batch(1)
+        noise = np.abs(batch.irradiance * batch.divisor - batch.reference)
+        assert (np.median(noise) < 0.1 * batch.reference.mean()) == expected
+
+
+def test_a_batch_depends_on_seed_and_step_only(data, small):
+    examples = load_examples(find_sequences(data)[0], small, Strips(1))
+    first, again = (PatchSampler(examples, small).batch(5) for _ in range(2))
+    np.testing.assert_array_equal(first.features, again.features)
+    other = PatchSampler(examples, small).batch(6)
+    assert not np.array_equal(first.features, other.features)
+    assert first.features.shape == (2, 8, 32, 32)
+
+
+def test_augmentation_keeps_target_and_input_together(data, small):
+    # the mean of many noisy samples is the reference, whatever the turn, order, gain and albedo
+    examples = load_examples(find_sequences(data)[0], small, Strips(1))
+    ratios = []
+    for step in range(20):
+        batch = PatchSampler(examples, small).batch(step)
+        radiance = (batch.irradiance * batch.divisor).mean((2, 3))
+        ratios.append(radiance / batch.reference.mean((2, 3)))
+    np.testing.assert_allclose(np.mean(ratios, axis=(0, 1)), 1, atol=0.1)
+
+
+@pytest.fixture
+def one_thread():
+    """Sums in one order: of several threads on a busy machine they are not always the same."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def test_training_lowers_the_loss_and_resumes_where_it_stopped(data, small, tmp_path, one_thread):
+    whole = train.train(small, [data], tmp_path / "whole", save_every=10)
+    half = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=20))
+    # the learning rate follows the recipe's length: keep it, stop early
+    original = train.learning_rate
+    try:
+        train.learning_rate = lambda step, _: original(step, small)
+        train.train(half, [data], tmp_path / "parts", save_every=10)
+        resumed = train.train(small, [data], tmp_path / "parts", save_every=10)
+    finally:
+        train.learning_rate = original
+    for one, other in zip(whole.parameters(), resumed.parameters(), strict=True):
+        torch.testing.assert_close(one, other)
+    with (tmp_path / "parts" / "log.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["step"]) for row in rows] == sorted({int(row["step"]) for row in rows})
+    examples = load_examples(find_sequences(data)[0], small, Strips(1))
+    batch = PatchSampler(examples, small).batch(999)
+    torch.manual_seed(small.training.seed)
+    before = train.reconstruct_loss(train.FAMILIES[small.family].network(small), batch, small)
+    assert train.reconstruct_loss(whole, batch, small) < before
+
+
+@pytest.mark.parametrize("key", ["display_weight", "squared_weight", "structure_weight"])
+def test_a_weight_adds_its_part_of_the_loss(data, small, key):
+    network = train.FAMILIES[small.family].network(small)
+    batch = PatchSampler(load_examples(find_sequences(data)[0], small, Strips(1)), small).batch(3)
+
+    def loss(weight):
+        recipe = dataclasses.replace(small.training, **{key: weight})
+        spec = dataclasses.replace(small, training=recipe)
+        return float(train.reconstruct_loss(network, batch, spec))
+
+    exposed = torch.from_numpy(batch.exposure)
+    outputs = network(torch.from_numpy(batch.features))
+    take = {
+        field.name: torch.from_numpy(getattr(batch, field.name))
+        for field in dataclasses.fields(batch)
+    }
+    shown = displayed(train.FAMILIES[small.family].radiance(outputs, take, small) * exposed)
+    wanted = displayed(torch.from_numpy(batch.reference) * exposed)
+    part = {
+        "display_weight": (shown - wanted).abs().mean(),
+        "squared_weight": ((shown - wanted) ** 2).mean(),
+        "structure_weight": dissimilarity(shown, wanted),
+    }[key]
+    assert loss(3.0) - loss(0.0) == pytest.approx(3 * float(part), rel=1e-4)
+
+
+def test_a_recurrent_model_learns_from_its_own_previous_outputs(data, tmp_path):
+    spec = load("kpyr-5")
+    recipe = dataclasses.replace(
+        spec.training, steps=4, batch=1, patch=32, history_from=2, history_every=2
+    )
+    spec = dataclasses.replace(spec, training=recipe)
+    seen = []
+    original = train.PatchSampler.batch
+    try:
+        train.PatchSampler.batch = lambda self, step: (
+            seen.append(self._examples[1]) or original(self, step)
+        )
+        train.train(spec, [data], tmp_path, save_every=4)
+    finally:
+        train.PatchSampler.batch = original
+    valid = [example.previous[..., 3].mean() for example in seen]
+    assert valid[0] == valid[1] == 0
+    assert valid[2] > 0.9
+    # after one renewal of an untrained network, the output is near the accumulated radiance
+    assert np.isfinite(seen[3].previous).all()
+    assert (tmp_path / train.PREVIOUS).is_file()
+
+
+def test_a_checkpoint_of_another_network_is_refused(data, small, tmp_path):
+    short = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=1))
+    train.train(short, [data], tmp_path, save_every=1)
+    with pytest.raises(InputError, match="checkpoint must be of wskp-3"):
+        train.train(train.without_branches(short), [data], tmp_path)
+
+
+def test_an_empty_data_folder_is_refused(small, tmp_path):
+    with pytest.raises(InputError, match="data must hold finished sequences"):
+        train.train(small, [tmp_path], tmp_path / "out")
+
+
+def test_provenance_counts_scenes_and_credits_them(small, tmp_path):
+    (tmp_path / "data.json").write_text(json.dumps(["room-0000-0", "room-0001-2", "tire-0000-0"]))
+    (tmp_path / "log.csv").write_text("step,loss,seconds\n20,0.5,1\n40,0.3,2\n")
+    about = provenance.collect(tmp_path, small, 40)
+    assert about["data"] == {"room": 2, "tire": 1}
+    assert "HorusZ" in about["credits"]["tire"]
+    assert about["training_loss"] == pytest.approx(0.4)
+
+
+def test_a_scene_of_unknown_licence_cannot_ship():
+    with pytest.raises(InputError, match=r"must be in credits\.toml, got torus"):
+        provenance.credits_of({"room", "torus"})
+
+
+def test_another_model_s_weights_are_taken_over_by_the_names_of_features(data, small, tmp_path):
+    short = dataclasses.replace(
+        small,
+        network=dataclasses.replace(small.network, identity=False),
+        training=dataclasses.replace(small.training, steps=1),
+    )
+    first = train.train(short, [data], tmp_path / "first", save_every=1)
+    names = short.network.features
+    turned = dataclasses.replace(
+        short,
+        network=dataclasses.replace(short.network, features=(*names[:0:-1], "sample.luminance")),
+    )
+    second = train.FAMILIES[turned.family].network(turned)
+    origin = start_from(tmp_path / "first" / train.CHECKPOINT, second, turned)
+    assert origin == {"model": "wskp-3", "steps": 1}
+    (tmp_path / "first" / STARTED_FROM).write_text('{"model": "older", "steps": 7}')
+    origin = start_from(tmp_path / "first" / train.CHECKPOINT, second, turned)
+    assert origin["started_from"] == {"model": "older", "steps": 7}
+    planes = torch.rand(1, len(names), 10, 6)
+    planes[:, 0] = 0  # what the second does not read
+    unread = torch.rand(1, 1, 10, 6)  # what the first did not read has no weight yet
+    again = torch.cat([planes[:, 1:].flip(1), unread], 1)
+    torch.testing.assert_close(second(again), first(planes))
+    # an identity adds each feature to a channel of its own
+    mixed = dataclasses.replace(
+        turned, network=dataclasses.replace(turned.network, features=names[::-1], identity=True)
+    )
+    with pytest.raises(InputError, match="start must read the features of wskp-3 in their order"):
+        start_from(
+            tmp_path / "first" / train.CHECKPOINT,
+            train.FAMILIES[mixed.family].network(mixed),
+            mixed,
+        )
+
+
+def test_a_deeper_guide_net_starts_as_the_shallow_one_and_learns_with_all_its_layers(
+    data, tmp_path
+):
+    shallow, deep = (
+        dataclasses.replace(spec, training=dataclasses.replace(spec.training, steps=1, patch=32))
+        for spec in (load("nbg-2x3"), load("nbg-7x3"))
+    )
+    first = train.train(shallow, [data], tmp_path / "first", save_every=1)
+    second = train.FAMILIES[deep.family].network(deep)
+    start_from(tmp_path / "first" / train.CHECKPOINT, second, deep)
+    planes = torch.rand(1, len(shallow.network.features), 9, 7)
+    torch.testing.assert_close(second(planes), first(planes))
+    sampler = PatchSampler(load_examples(find_sequences(data)[0], deep, Strips(1)), deep)
+    train.reconstruct_loss(second, sampler.batch(0), deep).backward()
+    added = [weight.grad for name, weight in second.leave.named_parameters() if weight.ndim == 4]
+    assert all(gradient[:, deep.network.width :].abs().sum() > 0 for gradient in added)
+
+
+def test_weights_that_do_not_fit_are_refused(data, small, tmp_path):
+    short = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=1))
+    train.train(short, [data], tmp_path, save_every=1)
+    wide = dataclasses.replace(small, network=dataclasses.replace(small.network, widths=(16, 20)))
+    network = train.FAMILIES[wide.family].network(wide)
+    with pytest.raises(InputError, match=r"start must have weights that fit wskp-3.*blocks"):
+        start_from(tmp_path / train.CHECKPOINT, network, wide)

@@ -1,0 +1,78 @@
+"""Trains and scores the variants of the study; what is finished is not done again."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.progress import Progress
+from safetensors import safe_open
+
+from stillray.errors import InputError
+from stillray_training.ablation.variants import Variant
+from stillray_training.train import CHECKPOINT, load_all, train
+
+
+def folder_of(variant: Variant, out: Path) -> Path:
+    """Where a variant's checkpoint and log lie."""
+    return out / "".join(c if c.isalnum() or c == "-" else "_" for c in variant.name)
+
+
+def steps_done(variant: Variant, out: Path) -> int:
+    """Steps that a variant has been trained for.
+
+    Raises
+    ------
+    InputError
+        Its checkpoint is of another specification or recipe.
+    """
+    path = folder_of(variant, out) / CHECKPOINT
+    if not path.is_file():
+        return 0
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+    # not by the text: a specification that was read back has lists for tuples, in the same JSON
+    if json.loads(metadata["spec"]) != json.loads(variant.spec.to_json()):
+        raise InputError(f"{path}: the checkpoint must be of the study as it is now: remove it")
+    return int(metadata["step"])
+
+
+def is_finished(variant: Variant, out: Path) -> bool:
+    """Whether a variant has been trained for all of its steps."""
+    return steps_done(variant, out) >= variant.spec.training.steps
+
+
+def train_all(variants: Sequence[Variant], data: list[Path], out: Path) -> None:
+    """Train every variant that is not finished, all on the same patches.
+
+    Parameters
+    ----------
+    variants
+        They read the same features of frames that are prepared alike.
+    data
+        Folders of rendered sequences.
+    out
+        Folder of the study; a folder in it for every variant.
+
+    Raises
+    ------
+    InputError
+        There are no sequences, or a checkpoint is of another study.
+    """
+    pending = [variant for variant in variants if not is_finished(variant, out)]
+    if not pending:
+        return
+    with Progress(transient=not sys.stderr.isatty()) as progress:
+        # what is prepared depends on tables that all variants share
+        examples = load_all(data, pending[0].spec, progress)
+    for variant in pending:
+        print(variant.name, file=sys.stderr, flush=True)
+        train(
+            variant.spec,
+            data,
+            folder_of(variant, out),
+            family=variant.family,
+            examples=examples,
+        )

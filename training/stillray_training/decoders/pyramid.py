@@ -1,0 +1,217 @@
+"""Differentiable reconstruction: the twin, in PyTorch, of `stillray.families.kernel_pyramid`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from stillray.families.pyramid_logits import NEIGHBOURS, LevelLayout, level_layout
+from stillray.model_spec.loader import PyramidKernels
+from stillray_training.decoders.boxes import BoxMean
+
+
+def kernel_pyramid(
+    irradiance_nchw: Tensor,
+    samples_nchw: Tensor,
+    logits: Sequence[Tensor],
+    options: PyramidKernels,
+    box: Callable[[Tensor, int], Tensor] = BoxMean.apply,
+) -> Tensor:
+    """Filter at every resolution and blend from the coarsest to the finest.
+
+    Parameters
+    ----------
+    irradiance_nchw : (n, 3, h, w)
+        Sizes that are multiples of 2^(levels - 1).
+    samples_nchw : (n, 1, h, w)
+        Samples that each pixel holds, > 0.
+    logits
+        One map a level, finest first, see `stillray.families.pyramid_logits.level_layout`.
+    options
+        Kernel sizes and the bound of the logits.
+    box
+        How window means are taken.
+
+    Returns
+    -------
+    (n, 3, h, w)
+    """
+    levels = len(logits)
+    layouts = [level_layout(level, levels, options) for level in range(levels)]
+    maps = [_parts(level, layout, options) for level, layout in zip(logits, layouts, strict=True)]
+    light, held = [irradiance_nchw], [samples_nchw]
+    for parts in maps[:-1]:
+        importance = parts.pool.exp()
+        weight = importance * held[-1]
+        pooled = F.avg_pool2d(torch.cat([weight * light[-1], weight, importance], 1), 2)
+        weighted, total_weight, total = pooled.split((3, 1, 1), 1)
+        light.append(weighted / total_weight)
+        held.append(total_weight / total)
+    result: Tensor | None = None
+    for level in reversed(range(levels)):
+        own = light[level]
+        blend = maps[level].blend
+        if result is not None:  # a sample that is worth less than one counts as little
+            worth = held[level].clamp(max=1).log()
+            blend = torch.cat([blend[:, :1] + worth, blend[:, 1:]], 1)
+        zero = torch.zeros_like(blend[:, :1])
+        logit = torch.cat([zero, blend, maps[level].around], 1)
+        first, *others = logit.softmax(1).split(1, 1)
+        if result is None:
+            total = first * own
+        else:
+            itself, *others = others
+            total = itself * own + first * doubled(result, maps[level + 1].double)
+        weights = (maps[level].importance.exp() * held[level]).split(1, 1)
+        # no shares where the finest level has no kernels
+        for size, weight, share in zip(options.kernel_sizes, weights, others, strict=False):
+            sums, normal = box(torch.cat([weight * own, weight], 1), size).split((3, 1), 1)
+            total = total + share * (sums / normal)
+        if maps[level].around.shape[1]:
+            neighbours = zip(shifted(own), others[-len(NEIGHBOURS) :], strict=True)
+            total = total + sum(share * moved for moved, share in neighbours)
+        result = total
+    assert result is not None
+    return result
+
+
+def shifted(planes_nchw: Tensor) -> list[Tensor]:
+    """The eight `NEIGHBOURS` of every pixel, the border repeated."""
+    height, width = planes_nchw.shape[2:]
+    padded = F.pad(planes_nchw, (1, 1, 1, 1), mode="replicate")
+    return [
+        padded[..., 1 + down : 1 + down + height, 1 + right : 1 + right + width]
+        for down, right in NEIGHBOURS
+    ]
+
+
+def doubled(coarser_nchw: Tensor, logits_nchw: Tensor) -> Tensor:
+    """A level at twice its resolution, see `stillray.families.pyramid_upsample`.
+
+    Parameters
+    ----------
+    coarser_nchw : (n, 3, h, w)
+    logits_nchw : (n, 8, h, w)
+        Bounded.
+
+    Returns
+    -------
+    (n, 3, 2 h, 2 w)
+    """
+    height, width = coarser_nchw.shape[2:]
+    padded = F.pad(coarser_nchw, (1, 1, 1, 1), mode="replicate")
+    left, right = (padded[:, :, 1:-1, at : at + width] for at in (0, 2))
+    up, down = (padded[:, :, at : at + height, 1:-1] for at in (0, 2))
+    beside, above = F.pixel_shuffle(logits_nchw.exp(), 2).split(1, 1)
+    own = F.interpolate(coarser_nchw, scale_factor=2.0, mode="nearest")
+    total = 2 * own + beside * _corners(left, right, left, right)
+    total = total + above * _corners(up, up, down, down)
+    return total / (2 + beside + above)
+
+
+def _corners(*corners_nchw: Tensor) -> Tensor:
+    """Top left, top right, bottom left and bottom right pixels of 2x2 blocks as one image."""
+    return F.pixel_shuffle(torch.stack(corners_nchw, 2).flatten(1, 2), 2)
+
+
+def unfold(logits: Sequence[Tensor]) -> tuple[Tensor, ...]:
+    """Logits with those of the finest level as one map, see `depth_to_space.Blocks`."""
+    finest, *coarser = logits
+    if finest.shape[2:] == coarser[0].shape[2:]:
+        finest = F.pixel_shuffle(finest, 2)
+    return finest, *coarser
+
+
+class _Parts(NamedTuple):
+    """Bounded logits of one level, by what they are for; see `LevelLayout`."""
+
+    importance: Tensor
+    pool: Tensor
+    blend: Tensor
+    resolve: Tensor
+    renew: Tensor
+    double: Tensor
+    around: Tensor
+
+
+def _parts(logits_nchw: Tensor, layout: LevelLayout, options: PyramidKernels) -> _Parts:
+    # one split, not five slices: the gradient of a slice is a whole map of zeros
+    sizes = [part.stop - part.start for part in dataclasses.astuple(layout)]
+    bound = options.logit_bound
+    return _Parts(*logits_nchw.contiguous().clamp(-bound, bound).split(sizes, 1))
+
+
+def renewed(
+    irradiance_nchw: Tensor,
+    samples_nchw: Tensor,
+    new_nchw: Tensor,
+    worth_nchw: Tensor,
+    logits_nchw: Tensor,
+    options: PyramidKernels,
+) -> tuple[Tensor, Tensor]:
+    """What was accumulated, with more of the new sample where the past does not hold.
+
+    Parameters
+    ----------
+    irradiance_nchw : (n, 3, h, w)
+        Accumulated.
+    samples_nchw : (n, 1, h, w)
+        Samples that each pixel holds, > 0.
+    new_nchw : (n, 3, h, w)
+        Irradiance of this frame.
+    worth_nchw : (n, 1, h, w)
+        What its samples are worth, > 0.
+    logits_nchw : (n, planes, h, w)
+        Of the finest level; that of `LevelLayout.renew` is used.
+    options
+        The bound of the logits.
+
+    Returns
+    -------
+    (n, 3, h, w), (n, 1, h, w)
+        Irradiance, and the samples that it holds.
+    """
+    more = _parts(logits_nchw, level_layout(0, 2, options), options).renew.exp()
+    total = samples_nchw + more * worth_nchw
+    light = (samples_nchw * irradiance_nchw + more * worth_nchw * new_nchw) / total
+    return light, total / (1 + more)
+
+
+def resolve(
+    radiance_nchw: Tensor,
+    logits_nchw: Tensor,
+    previous_nchw: Tensor,
+    valid_nchw: Tensor,
+    options: PyramidKernels,
+) -> Tensor:
+    """Average each pixel with its neighbours and with the previous output.
+
+    Parameters
+    ----------
+    radiance_nchw : (n, 3, h, w)
+        Filtered and re-modulated.
+    logits_nchw : (n, planes, h, w)
+        Of the finest level; those of `LevelLayout.resolve` are used.
+    previous_nchw : (n, 3, h, w)
+        Radiance of the previous output at these pixels.
+    valid_nchw : (n, 1, h, w)
+        How much of it lay in the frame, [0, 1].
+    options
+        The bound of the logits.
+
+    Returns
+    -------
+    (n, 3, h, w)
+    """
+    weights = _parts(logits_nchw, level_layout(0, 2, options), options).resolve.exp()
+    *near, past = weights.split(1, 1)
+    past = past * valid_nchw
+    total = radiance_nchw + past * previous_nchw
+    for weight, moved in zip(near, shifted(radiance_nchw), strict=True):
+        total = total + weight * moved
+    return total / (1 + weights.sum(1, keepdim=True) - weights[:, -1:] + past)

@@ -1,0 +1,73 @@
+"""Training losses."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+# Light below which the display curve is taken as straight: its slope at 0 would be infinite.
+_TOE = 1e-3
+# Exposed irradiance has its typical value at a quarter and surfaces reflect half of it: this
+# brings radiance to where `stillray.compare.display.display_exposure` puts it.
+_DISPLAY_GAIN = 2.0
+_WINDOW = 7  # pixels of a window of structural similarity
+_STRIDE = 4  # of the windows: they overlap, and a sixteenth of them says the same
+_C1, _C2 = 0.01**2, 0.03**2  # Wang et al. 2004: keep its ratios finite in even windows
+_CLOSE = 0.05  # of the display's range
+
+
+def smape(image: Tensor, reference: Tensor, epsilon: float) -> Tensor:
+    """Symmetric mean absolute percentage error, in [0, 1] (Fan et al. 2021, eq. 6).
+
+    Parameters
+    ----------
+    image, reference
+        Radiance of one shape, >= 0.
+    epsilon
+        Radiance below which differences count less.
+    """
+    # per pixel first, then the mean: half-precision references do not overflow the sum
+    return ((image - reference).abs() / (image.abs() + reference.abs() + epsilon)).mean()
+
+
+def displayed(exposed: Tensor) -> Tensor:
+    """What a screen would show of exposed radiance: clipped, with a power of 1 / 2.2, in [0, 1]."""
+    return ((exposed * _DISPLAY_GAIN).clamp(0, 1) + _TOE) ** (1 / 2.2)
+
+
+def dissimilarity(shown: Tensor, wanted: Tensor) -> Tensor:
+    """One minus the structural similarity.
+
+    differs: Wang et al. 2004 weigh a window by a Gaussian of 11 pixels; here it is a plain mean of
+    7, as `skimage.metrics.structural_similarity` takes it, of the channels' mean alone, and windows
+    are taken at every fourth pixel.
+
+    Parameters
+    ----------
+    shown, wanted
+        `displayed`, ``(n, 3, h, w)``, 7 pixels or more each way.
+    """
+    a, b = (part.mean(1, keepdim=True) for part in (shown, wanted))
+    moments = F.avg_pool2d(torch.cat([a, b, a * a, b * b, a * b], 1), _WINDOW, stride=_STRIDE)
+    mean_a, mean_b, aa, bb, ab = moments.unbind(1)
+    both = mean_a * mean_b
+    squares = mean_a * mean_a + mean_b * mean_b
+    likeness = (2 * both + _C1) * (2 * (ab - both) + _C2)
+    return (1 - likeness / ((squares + _C1) * (aa + bb - squares + _C2))).mean()
+
+
+def unsteadiness(shown: Tensor, wanted: Tensor, before: Tensor, valid: Tensor) -> Tensor:
+    """Mean change where the previous output was as good as right.
+
+    A previous output further than `_CLOSE` from the reference pulls ever less: the light moved.
+
+    Parameters
+    ----------
+    shown, wanted, before
+        `displayed`, ``(n, 3, h, w)``: the image, the reference and the previous output.
+    valid : (n, 1, h, w)
+        How much of the previous output lay in the frame.
+    """
+    close = valid * (-(before - wanted).abs() / _CLOSE).exp()
+    return (close * (shown - before).abs()).mean()

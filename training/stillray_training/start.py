@@ -1,0 +1,198 @@
+"""Taking over the weights of a similar model, so that training goes on from what it knows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import onnx
+import torch
+from onnx import numpy_helper
+from safetensors import safe_open
+from safetensors.torch import load_file
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from stillray.errors import InputError
+from stillray.model_spec import ModelSpec
+from stillray.models.registry import find_model
+from stillray_training.families import FAMILIES
+from stillray_training.networks.repvgg import RepVGGBlock
+
+STARTED_FROM = "started_from.json"  # beside a checkpoint: the model whose weights were taken over
+
+
+@dataclass(frozen=True)
+class Start:
+    """A model to start from.
+
+    Attributes
+    ----------
+    features
+        What its network reads, in order.
+    weights
+        By name, as a network in training holds them.
+    origin
+        Name and steps of the model, and of what that was started from in its turn; for a model
+        that was exported its data and their credits too. Goes into the provenance.
+    """
+
+    features: tuple[str, ...]
+    weights: Mapping[str, Tensor]
+    origin: dict[str, Any]
+
+
+def read_start(source: str | Path) -> Start:
+    """The weights of a checkpoint, of an exported model, or of one that comes with stillray.
+
+    Parameters
+    ----------
+    source
+        Path of a checkpoint or of an ``.onnx`` file, or the name of a packaged model. A checkpoint
+        has the branches of RepVGG blocks; an exported model has them added up, and gives all to
+        the largest.
+
+    Raises
+    ------
+    InputError
+        There is no such file or model, or it is none of stillray's.
+    """
+    path = Path(source)
+    if path.is_file() and path.suffix != ".onnx":
+        return _of_checkpoint(path)
+    try:
+        return _of_model(source)
+    except InputError as error:
+        raise InputError(
+            f"start must be a checkpoint, an .onnx file or a packaged model, got {source}: {error}"
+        ) from None
+
+
+def _of_checkpoint(path: Path) -> Start:
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+    before = json.loads(metadata["spec"])
+    origin = {"model": before["name"], "steps": int(metadata["step"])}
+    earlier = path.parent / STARTED_FROM
+    if earlier.is_file():
+        origin["started_from"] = json.loads(earlier.read_text())
+    weights = {
+        name.removeprefix("network."): value
+        for name, value in load_file(path).items()
+        if name.startswith("network.")
+    }
+    return Start(tuple(before["network"]["features"]), weights, origin)
+
+
+def _of_model(source: str | Path) -> Start:
+    info = find_model(source)
+    network = FAMILIES[info.family].network(info.spec)
+    unfuse(
+        network,
+        {
+            # the export clips logits in a module around the network
+            tensor.name.removeprefix("network."): torch.tensor(numpy_helper.to_array(tensor))
+            for tensor in onnx.load(info.path).graph.initializer
+        },
+    )
+    known = ("steps", "data", "credits", "started_from")
+    about = {key: info.provenance[key] for key in known if key in info.provenance}
+    weights = network.state_dict()
+    return Start(info.spec.network.features, weights, {"model": info.name, **about})
+
+
+def unfuse(network: nn.Module, fused: Mapping[str, Tensor]) -> None:
+    """Fill a network for training with the weights of one that `stillray_export.fuse` made.
+
+    Parameters
+    ----------
+    network
+        Overwritten: it then computes what the fused network does.
+    fused
+        Weights by their names there.
+
+    Raises
+    ------
+    InputError
+        A weight is missing.
+    """
+
+    def taken(name: str) -> tuple[Tensor, Tensor]:
+        try:
+            return fused[f"{name}.weight"], fused[f"{name}.bias"]
+        except KeyError as error:
+            raise InputError(
+                f"its graph must hold the weights of its spec, lacks {error}"
+            ) from None
+
+    within: tuple[str, ...] = ()  # convolutions that are branches of a block
+    with torch.no_grad():
+        for name, module in network.named_modules():
+            if isinstance(module, RepVGGBlock):
+                within += (f"{name}.",)
+                # a ReLU makes a sequence of the one convolution
+                module.unfuse(*taken(f"{name}.0" if module.activation else name))
+            elif isinstance(module, nn.Conv2d) and not name.startswith(within):
+                assert module.bias is not None
+                for parameter, value in zip((module.weight, module.bias), taken(name), strict=True):
+                    parameter.copy_(value)
+
+
+def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[str, Any]:
+    """Take over the weights of a similar model: features by name, planes that are new stay random.
+
+    Parameters
+    ----------
+    source
+        See `read_start`. A model of the same family and widths; it may have read other features,
+        which are matched by name (those that it did not read begin with weights of 0), have given
+        fewer logits (new ones are appended), and have had fewer layers in its dense block (what
+        new ones add begins with weights of 0). Where the first block has an identity, features
+        stay in their places.
+    network, spec
+        What is to be trained.
+
+    Returns
+    -------
+    dict
+        The model that was taken over, see `Start.origin`.
+
+    Raises
+    ------
+    InputError
+        The weights do not fit.
+    """
+    start = read_start(source)
+    features = start.features
+    state = network.state_dict()
+    entry = network.get_submodule(str(network.reads_features).rstrip("."))
+    if isinstance(entry, RepVGGBlock) and entry.identity and features != spec.network.features:
+        raise InputError(
+            f"start must read the features of {spec.name} in their order, whose first block has an "
+            f"identity, got {', '.join(features)}"
+        )
+    for name, given in start.weights.items():
+        value, target = given, state.get(name, torch.empty(0))
+        fits = len(value) <= len(target)
+        if fits and name.startswith(str(network.reads_features)) and value.ndim == 4:
+            # where blocks of pixels are read as one, every feature is several planes
+            each = target.shape[1] // len(spec.network.features)
+            fits = value.shape[1] == each * len(features) and value.shape[2:] == target.shape[2:]
+            if fits:
+                read = [features.index(f) if f in features else -1 for f in spec.network.features]
+                matched = value.unflatten(1, (len(features), each))[:, read]
+                matched[:, [index < 0 for index in read]] = 0
+                value = matched.flatten(1, 2)
+        if fits and value.ndim == 4 and name.startswith(getattr(network, "reads_added", " ")):
+            added = max(target.shape[1] - value.shape[1], 0)
+            value = F.pad(value, (0, 0, 0, 0, 0, added))
+        if not fits or value.shape[1:] != target.shape[1:]:
+            raise InputError(
+                f"start must have weights that fit {spec.name}, {source} does not: {name}"
+            )
+        target[: len(value)] = value
+    network.load_state_dict(state)
+    return start.origin
