@@ -15,10 +15,10 @@ from stillray_training.blender.parts import (
     camera,
     lathe,
     light,
-    put,
     rod,
     sky,
     textile,
+    torus,
     wood,
 )
 
@@ -106,7 +106,10 @@ def _shell() -> None:
     panels = _panelled()
     box((0, 0, 0.1), (0.015, _DEPTH, 0.95), panels)
     box((0, 0, 0.95), (0.035, _DEPTH, 1.0), white, bevel=0.006)
-    for low, high in (((0, 0, 0), (0.025, _DEPTH, 0.1)), ((0, _DEPTH - 0.025, 0), (_WIDTH, _DEPTH, 0.1))):
+    for low, high in (
+        ((0, 0, 0), (0.025, _DEPTH, 0.1)),
+        ((0, _DEPTH - 0.025, 0), (_WIDTH, _DEPTH, 0.1)),
+    ):
         box(low, high, white, bevel=0.005)
 
 
@@ -145,11 +148,15 @@ def _table() -> None:
     drawn, leaf = random.Random(5), Material("leaf", (0.09, 0.25, 0.06), Roughness=0.5)
     for _ in range(22):
         turn, spread = drawn.uniform(0, 2 * math.pi), drawn.uniform(0.05, 0.28)
-        tip = (1.75 + spread * math.cos(turn), 3.5 + spread * math.sin(turn), drawn.uniform(1.25, 1.5))
+        tip = (
+            1.75 + spread * math.cos(turn),
+            3.5 + spread * math.sin(turn),
+            drawn.uniform(1.25, 1.5),
+        )
         rod((1.75, 3.5, 1.05), tip, 0.004, leaf)
-        bpy.ops.mesh.primitive_uv_sphere_add(radius=1, location=tip, segments=16, ring_count=8)
-        put(leaf).scale = (0.035, 0.018, 0.008)
-        bpy.context.object.rotation_euler = (drawn.uniform(-1, 1), drawn.uniform(-1, 1), turn)
+        blade = ball(tip, 1.0, leaf)
+        blade.scale = (0.035, 0.018, 0.008)
+        blade.rotation_euler = (drawn.uniform(-1, 1), drawn.uniform(-1, 1), turn)
     glass = Material("glass", (1, 1, 1), Roughness=0.0, IOR=1.45, Transmission_Weight=1.0)
     lathe([(0, 0), (0.035, 0), (0.04, 0.13), (0.036, 0.13), (0.032, 0.01), (0, 0.01)],
           (2.1, 3.35, 0.746), glass)  # fmt: skip
@@ -160,7 +167,10 @@ def _table() -> None:
         ball((*place, 0.83), 0.042, Material("orange", (0.75, 0.27, 0.03), Roughness=0.4))
     for level, shade in enumerate(((0.5, 0.1, 0.08), (0.1, 0.2, 0.3), (0.6, 0.5, 0.2))):
         book = box((-0.11, -0.15, 0), (0.11, 0.15, 0.028), Material("book", shade, Roughness=0.5))
-        book.location, book.rotation_euler = (2.25, 3.62, 0.746 + 0.029 * level), (0, 0, 0.3 * level)
+        book.location, book.rotation_euler = (
+            (2.25, 3.62, 0.746 + 0.029 * level),
+            (0, 0, 0.3 * level),
+        )
 
 
 def _chair(place: tuple[float, float]) -> None:
@@ -207,7 +217,11 @@ def _shelf() -> None:
             shade = [drawn.uniform(0.05, 0.6) for _ in range(3)]
             if drawn.random() < 0.85:
                 book = Material("book", (shade[0], shade[1], shade[2]), Roughness=0.45)
-                box((0.05, y, z + 0.022), (0.05 + drawn.uniform(0.13, 0.19), y + thick, z + 0.022 + tall), book)
+                box(
+                    (0.05, y, z + 0.022),
+                    (0.05 + drawn.uniform(0.13, 0.19), y + thick, z + 0.022 + tall),
+                    book,
+                )
             y += thick + 0.002
     for y in (1.9, 3.48):
         box((0.02, y, 1.2), (0.27, y + 0.02, 2.2), board)
@@ -243,9 +257,5 @@ def _walls_things() -> None:
         box((0.0, y - 0.17, 1.38), (0.034, y + 0.17, 1.87), picture)
     mirror = Material("mirror", (0.9, 0.9, 0.9), Metallic=1.0, Roughness=0.0)
     rod((2.3, _DEPTH, 1.6), (2.3, _DEPTH - 0.02, 1.6), 0.26, mirror)
-    bpy.ops.mesh.primitive_torus_add(
-        location=(2.3, _DEPTH - 0.02, 1.6), rotation=(math.pi / 2, 0, 0), major_radius=0.27,
-        minor_radius=0.018, major_segments=64,
-    )  # fmt: skip
-    bpy.ops.object.shade_smooth()
-    put(Material("brass ring", (0.75, 0.55, 0.25), Metallic=1.0, Roughness=0.25))
+    brass = Material("brass ring", (0.75, 0.55, 0.25), Metallic=1.0, Roughness=0.25)
+    torus((2.3, _DEPTH - 0.02, 1.6), 0.27, 0.018, brass).rotation_euler = (math.pi / 2, 0, 0)

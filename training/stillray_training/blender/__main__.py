@@ -42,7 +42,7 @@ def render_moving_shadow(folder: Path) -> None:
     """The sequence with a moving shadow; every frame has its reference."""
     prepare((320, 180))
     moving_shadow.build(_FRAMES)
-    render_sequence(folder, range(_FRAMES), 512)
+    render_sequence(folder, range(_FRAMES), 256)
 
 
 def render_camera_move(folder: Path) -> None:

@@ -1,13 +1,27 @@
-"""A still life of a dozen objects: glass, metals, matte and waxy things, relief, hair-thin parts."""
+"""A still life of a dozen objects: glass, metals, matte and waxy, relief, hair-thin parts."""
 
 from __future__ import annotations
 
 import math
 import random
 
-import bpy
+from mathutils import Matrix
 
-from stillray_training.blender.parts import Material, background, ball, box, camera, lathe, light, put, rod, textile, wood
+from stillray_training.blender.parts import (
+    Material,
+    add,
+    background,
+    ball,
+    box,
+    camera,
+    lathe,
+    light,
+    primitive,
+    rod,
+    textile,
+    torus,
+    wood,
+)
 
 
 def build() -> None:
@@ -34,26 +48,20 @@ def build() -> None:
 
 
 def _cloth() -> None:
-    bpy.ops.mesh.primitive_grid_add(
-        x_subdivisions=90, y_subdivisions=50, size=1, location=(0.35, -0.55, 0.02)
+    mesh = primitive(
+        "grid", x_segments=90, y_segments=50, size=0.5, matrix=Matrix.Diagonal((2.2, 0.9, 1, 1))
     )
-    thing = put(textile("cloth", (0.5, 0.08, 0.07), (0.75, 0.7, 0.6), threads=240))
-    thing.scale = (2.2, 0.9, 1)
-    bpy.ops.object.transform_apply(location=False, rotation=False, scale=True)
-    for point in thing.data.vertices:
+    for point in mesh.vertices:
         x, y, _ = point.co
         point.co.z = 0.008 * math.sin(9 * x + 4 * y) + 0.006 * math.sin(17 * y - 5 * x)
-    thing.data.shade_smooth()
+    mesh.shade_smooth()
+    cloth = textile("cloth", (0.5, 0.08, 0.07), (0.75, 0.7, 0.6), threads=240)
+    add(mesh, cloth, (0.35, -0.55, 0.02))
 
 
 def _metals() -> None:
     gold = Material("gold", (1.0, 0.68, 0.25), Metallic=1.0, Roughness=0.18)
-    bpy.ops.mesh.primitive_torus_add(
-        location=(0.28, -0.42, 0.1), rotation=(0, 0, 0), major_radius=0.22, minor_radius=0.07,
-        major_segments=64, minor_segments=24,
-    )  # fmt: skip
-    bpy.ops.object.shade_smooth()
-    put(gold)
+    torus((0.28, -0.42, 0.1), 0.22, 0.07, gold)
     steel = Material("brushed steel", (0.62, 0.6, 0.58), Metallic=1.0, Roughness=0.3)
     scratches = steel.node("TexNoise", Vector=steel.coordinates((2, 2, 160)), Scale=6.0, Detail=1.0)
     steel.emboss(scratches.outputs[0], 0.002, 0.4)
@@ -83,16 +91,16 @@ def _matte() -> None:
     cube = box((-0.17, -0.17, -0.17), (0.17, 0.17, 0.17), checked, bevel=0.02)
     cube.location, cube.rotation_euler = (-0.42, -0.1, 0.17), (0, 0, 0.5)
     wax = Material("wax", (0.85, 0.55, 0.4), Roughness=0.35, Subsurface_Weight=0.5)
-    bpy.ops.mesh.primitive_monkey_add(size=0.42, location=(-0.18, -0.62, 0.18), rotation=(0, 0, -0.3))
-    thing = put(wax)
+    mesh = primitive("monkey", matrix=Matrix.Diagonal((0.21, 0.21, 0.21, 1)))
+    mesh.shade_smooth()
+    thing = add(mesh, wax, (-0.18, -0.62, 0.18))
+    thing.rotation_euler = (0, 0, -0.3)
     thing.modifiers.new("smooth", "SUBSURF").render_levels = 2
-    bpy.ops.object.shade_smooth()
 
 
 def _hair_thin() -> None:
     wire = Material("wire", (0.05, 0.05, 0.06), Metallic=0.8, Roughness=0.35)
-    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=3, radius=0.26, location=(-1.35, 0.2, 0.27))
-    thing = put(wire)
+    thing = add(primitive("icosphere", subdivisions=3, radius=0.26), wire, (-1.35, 0.2, 0.27))
     modifier = thing.modifiers.new("wires", "WIREFRAME")
     modifier.thickness = 0.008
     drawn = random.Random(3)

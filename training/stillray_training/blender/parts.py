@@ -6,7 +6,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import bmesh
 import bpy
+from mathutils import Matrix, Vector
 
 Color = tuple[float, float, float]
 Point = tuple[float, float, float]
@@ -121,22 +123,38 @@ def textile(name: str, first: Color, second: Color, *, threads: float) -> Materi
     return made
 
 
-def put(material: Material | None, thing: Any = None) -> Any:
-    """Give the object (by default the one just added) its material; returns it."""
-    thing = thing or bpy.context.object
+def add(mesh: Any, material: Material | None, place: Point = (0, 0, 0)) -> Any:
+    """A mesh in the scene."""
     if material:
-        thing.data.materials.append(material.data)
+        mesh.materials.append(material.data)
+    return _link(mesh, place)
+
+
+def _link(data: Any, place: Point) -> Any:
+    # not by operators, each of which updates every object
+    thing = bpy.data.objects.new(data.name, data)
+    thing.location = place
+    bpy.context.scene.collection.objects.link(thing)
     return thing
+
+
+def primitive(kind: str, **options: Any) -> Any:
+    """A mesh out of ``bmesh.ops.create_<kind>``."""
+    shape = bmesh.new()
+    getattr(bmesh.ops, f"create_{kind}")(shape, **options)
+    mesh = bpy.data.meshes.new(kind)
+    shape.to_mesh(mesh)
+    shape.free()
+    return mesh
 
 
 def box(low: Point, high: Point, material: Material | None, *, bevel: float = 0.0) -> Any:
     """An axis-aligned box between two corners, edges rounded by ``bevel`` metres."""
-    middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
-    bpy.ops.mesh.primitive_cube_add(size=1, location=middle)
-    thing = put(material)
-    thing.scale = [b - a for a, b in zip(low, high, strict=True)]
-    # the scale goes into the mesh, so that object coordinates are metres
-    bpy.ops.object.transform_apply(location=False, rotation=False, scale=True)
+    size = [b - a for a, b in zip(low, high, strict=True)]
+    x, y, z = ((a + b) / 2 for a, b in zip(low, high, strict=True))
+    # the scale is in the mesh, so that object coordinates are metres
+    mesh = primitive("cube", size=1.0, matrix=Matrix.Diagonal((*size, 1.0)))
+    thing = add(mesh, material, (x, y, z))
     if bevel:
         modifier = thing.modifiers.new("bevel", "BEVEL")
         modifier.width, modifier.segments = bevel, 3
@@ -145,24 +163,29 @@ def box(low: Point, high: Point, material: Material | None, *, bevel: float = 0.
 
 def rod(start: Point, end: Point, radius: float, material: Material | None) -> Any:
     """A cylinder from one point to another."""
-    along = [b - a for a, b in zip(start, end, strict=True)]
-    length = math.dist(start, end)
-    middle = [(a + b) / 2 for a, b in zip(start, end, strict=True)]
-    tilt = (0, math.acos(along[2] / length), math.atan2(along[1], along[0]))
-    bpy.ops.mesh.primitive_cylinder_add(
-        radius=radius, depth=length, location=middle, rotation=tilt, vertices=24
+    along = Vector(end) - Vector(start)
+    mesh = primitive(
+        "cone", cap_ends=True, segments=20, radius1=radius, radius2=radius, depth=along.length
     )
-    bpy.ops.object.shade_smooth_by_angle()
-    return put(material)
+    mesh.shade_smooth()
+    mesh.set_sharp_from_angle(angle=math.radians(40))
+    thing = add(mesh, material, (Vector(start) + Vector(end)) / 2)
+    thing.rotation_euler = along.to_track_quat("Z", "Y").to_euler()
+    return thing
 
 
 def ball(center: Point, radius: float, material: Material | None) -> Any:
     """A sphere with smooth normals."""
-    bpy.ops.mesh.primitive_uv_sphere_add(
-        radius=radius, location=center, segments=48, ring_count=24
-    )
-    bpy.ops.object.shade_smooth()
-    return put(material)
+    mesh = primitive("uvsphere", u_segments=48, v_segments=24, radius=radius)
+    mesh.shade_smooth()
+    return add(mesh, material, center)
+
+
+def torus(center: Point, major: float, minor: float, material: Material | None) -> Any:
+    """A ring around z of radius ``major`` to the middle of its tube of radius ``minor``."""
+    steps = [2 * math.pi * step / 24 for step in range(25)]
+    profile = [(major + minor * math.cos(turn), minor * math.sin(turn)) for turn in steps]
+    return lathe(profile, center, material)
 
 
 def lathe(profile: Sequence[tuple[float, float]], center: Point, material: Material | None) -> Any:
@@ -192,25 +215,20 @@ def lathe(profile: Sequence[tuple[float, float]], center: Point, material: Mater
     mesh = bpy.data.meshes.new("lathe")
     mesh.from_pydata(points, [], faces)
     mesh.shade_smooth()
-    thing = bpy.data.objects.new("lathe", mesh)
-    thing.location = center
-    bpy.context.collection.objects.link(thing)
-    return put(material, thing)
+    return add(mesh, material, center)
 
 
 def aim(thing: Any, target: Point) -> None:
     """Turn a camera or light so that it looks at a point."""
-    from mathutils import Vector
-
     direction = Vector(target) - thing.location
     thing.rotation_euler = direction.to_track_quat("-Z", "Y").to_euler()
 
 
 def light(kind: str, place: Point, target: Point, power: float, **settings: Any) -> Any:
-    """A lamp of ``kind`` (``AREA``, ``POINT``, ``SUN``) aimed at a point; watts, or W/m^2 for SUN."""
-    bpy.ops.object.light_add(type=kind, location=place)
-    thing = bpy.context.object
-    thing.data.energy = power
+    """A lamp of ``kind`` (``AREA``, ``POINT``, ``SUN``) aimed at a point; W, or W/m^2 for SUN."""
+    lamp = bpy.data.lights.new(kind, kind)
+    lamp.energy = power
+    thing = _link(lamp, place)
     for name, value in settings.items():
         setattr(thing.data, name, value)
     aim(thing, target)
@@ -219,8 +237,7 @@ def light(kind: str, place: Point, target: Point, power: float, **settings: Any)
 
 def camera(place: Point, target: Point, lens: float) -> Any:
     """The scene's camera, ``lens`` in millimetres on a sensor of 36."""
-    bpy.ops.object.camera_add(location=place)
-    thing = bpy.context.scene.camera = bpy.context.object
+    thing = bpy.context.scene.camera = _link(bpy.data.cameras.new("camera"), place)
     thing.data.lens = lens
     aim(thing, target)
     return thing

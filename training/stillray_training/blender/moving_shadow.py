@@ -1,4 +1,4 @@
-"""A cube and its shadow move over a floor: where the shadow was, motion vectors say nothing moved."""
+"""A cube and its shadow move over a floor; of the shadow, motion vectors say nothing."""
 
 from __future__ import annotations
 
