@@ -88,8 +88,8 @@ def compose(
 
     Returns
     -------
-    (rows, columns, 3) float32
-        Tone-mapped, in [0, 1].
+    (rows, columns, 3) uint8
+        Tone-mapped red, green, blue.
 
     Raises
     ------
@@ -98,9 +98,9 @@ def compose(
     """
     step = side * enlargement + _GAP
     shape = _TOP + len(rows) * step, _LEFT + len(sheet.crops) * step, 3
-    page = np.ones(shape, np.float32)
+    page = np.full(shape, 255, np.uint8)
     for row, (label, image) in enumerate(rows):
-        shown = tone_map(image, exposure).astype(np.float32)
+        shown = np.rint(tone_map(image, exposure) * 255).astype(np.uint8)
         for column, (what, x, y) in enumerate(sheet.crops):
             crop = shown[y : y + side, x : x + side]
             if min(x, y) < 0 or crop.shape[:2] != (side, side):
@@ -150,7 +150,7 @@ def main(
             continue
         rows, exposure = pictures(case, model)
         page = compose(sheet, rows, exposure=exposure, side=side, enlargement=enlargement)
-        write_png(out / f"{sheet.file}.png", page)
+        write_png(out / f"{sheet.file}.png", page / 255)
         print(out / f"{sheet.file}.png")
 
 

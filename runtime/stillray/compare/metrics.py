@@ -283,10 +283,11 @@ def color_video_vdp(images: Sequence[np.ndarray], references: Sequence[np.ndarra
 @cache
 def _color_video_vdp() -> Any:
     _import_torchvision()
+    import torch
     from pycvvdp import cvvdp
 
     # on the processor wherever it runs, so that figures compare
-    return cvvdp(display_name=DISPLAY, quiet=True, device="cpu")
+    return cvvdp(display_name=DISPLAY, quiet=True, device=torch.device("cpu"))
 
 
 def _import_torchvision() -> None:

@@ -119,7 +119,7 @@ def textile(name: str, first: Color, second: Color, *, threads: float) -> Materi
     made.paint(checks.outputs["Color"])
     weave = made.node("TexWave", Vector=made.coordinates(), Scale=threads / 6.3, Distortion=1.0)
     weave.wave_type, weave.bands_direction = "BANDS", "DIAGONAL"
-    made.emboss(weave.outputs[1], 0.004, 0.7)
+    made.emboss(weave.outputs[1], 0.001, 0.7)
     return made
 
 
@@ -254,7 +254,7 @@ def background(color: Color, strength: float) -> None:
 
 
 def sky(elevation: float, strength: float) -> None:
-    """A sky without its sun's disc, which is a lamp; ``elevation`` of the sun in degrees."""
+    """A sky to be looked at: it lights nothing, and its sun is a lamp; ``elevation`` in degrees."""
     world = bpy.data.worlds.new("world")
     world.use_nodes = True
     nodes, links = world.node_tree.nodes, world.node_tree.links
@@ -263,3 +263,4 @@ def sky(elevation: float, strength: float) -> None:
     nodes["Background"].inputs["Strength"].default_value = strength
     links.new(texture.outputs[0], nodes["Background"].inputs["Color"])
     bpy.context.scene.world = world
+    world.cycles_visibility.diffuse = False
