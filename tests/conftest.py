@@ -9,8 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stillray.families.temporal_kernels import history_of
 from stillray.frame import Frame
 from stillray.model_spec import ModelSpec, load
+from stillray.pipeline.denoiser import Denoiser
+from stillray.stages.state import History
 
 # processes that tests start read the same sources as they do, whatever is installed
 _REPOSITORY = Path(__file__).parents[1]
@@ -48,6 +51,13 @@ def make_frame(height: int, width: int, seed: int = 0, shift: float = 0.0) -> Fr
         depth=np.where(box, 2.0, 5.0),
         motion=np.where(box[..., None], [-shift, 0.0], 0.0),
     )
+
+
+def remembered(denoiser: Denoiser) -> History:
+    """What a model of kernels remembers of its last frame."""
+    history = history_of(denoiser.state)
+    assert history is not None
+    return history
 
 
 def clean_color(height: int, width: int) -> np.ndarray:

@@ -26,6 +26,7 @@ from stillray.stages import (
 from stillray.stages import albedo_history as antialias
 from stillray.stages import features as encode
 from stillray.stages import previous_output as recall
+from stillray.stages.state import Filterable
 from tests import oracles
 
 Inputs = dict[str, np.ndarray]
@@ -274,7 +275,8 @@ def _pyramid(given: Inputs) -> float:
         part = given["logits"][start : start + count * size[0] * size[1]]
         logits.append(part.reshape(count, *size))
         start += part.size
-    got = pyramid.filter_pyramid(mean, sample, by, past, logits, _PYRAMID, _STRIPS)
+    light = Filterable(mean=mean, sample=sample, modulator=by, previous=past)
+    got = pyramid.filter_pyramid(light, logits, _PYRAMID, _STRIPS)
     wanted = oracles.kernel_pyramid(mean, sample, by, past, logits, _PYRAMID)
     return _relative(got, wanted)
 

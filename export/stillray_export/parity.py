@@ -16,9 +16,9 @@ import torch
 from torch import Tensor, nn
 
 from stillray.arrays.strips import Strips
-from stillray.families import registry as runtime_families
+from stillray.families.registry import kernels_of
 from stillray.model_spec import ModelSpec
-from stillray.stages.prepare import History, Prepared
+from stillray.stages.state import Filterable
 from stillray_training.decoders.boxes import BoxMean
 from stillray_training.families import FAMILIES
 from stillray_training.networks.repvgg import by_branches
@@ -69,7 +69,7 @@ def check(
         ort.InferenceSession(graph, providers=["CPUExecutionProvider"]) for graph in (alone, whole)
     ]
     family = FAMILIES[spec.family]
-    multiple = runtime_families.FAMILIES[spec.family].multiple(spec)
+    multiple = kernels_of(spec).looks.alignment
     exact = family.network(spec).double()
     exact.load_state_dict({name: value.double() for name, value in network.state_dict().items()})
     for index, size in enumerate(SIZES):
@@ -114,7 +114,7 @@ def image_unit(arrays: Mapping[str, np.ndarray], image: np.ndarray, spec: ModelS
     """
     unit = np.abs(image) + 1e-6
     if leak := FAMILIES[spec.family].leak:
-        size = 2 * runtime_families.FAMILIES[spec.family].reach(spec) + 1
+        size = 2 * kernels_of(spec).looks.reach + 1
         for plane, target in zip(arrays["irradiance"][0], unit[0], strict=True):
             target += leak * cv2.dilate(plane, np.ones((size, size), np.uint8))
     return unit
@@ -166,23 +166,14 @@ def _in_runtime(
         planes = np.concatenate([arrays[name][0] for name in names])
         return np.ascontiguousarray(planes.transpose(1, 2, 0))
 
-    # a prepared frame of which only what a reconstruction looks at is there
-    prepared = Prepared(
-        history=History(mean=interleaved("irradiance", "samples"), guides=None, exposure=1.0),
+    model = kernels_of(spec)
+    light = Filterable(
+        mean=interleaved("irradiance", "samples"),
         sample=np.concatenate([arrays[name][0] for name in ("new", "worth")]),
-        luminance=np.empty(0),
-        divisor=None,
         modulator=interleaved("divisor") if FAMILIES[spec.family].modulates else None,
-        local=np.empty(0),
-        albedo=None,
-        normal=None,
-        depth=None,
-        depth_unit=1.0,
-        motion=None,
+        previous=interleaved("previous", "valid") if model.looks.previous_output else None,
     )
-    family = runtime_families.FAMILIES[spec.family]
-    previous = interleaved("previous", "valid") if family.recalls else None
-    return family.reconstruct(prepared, previous, logits, spec, Strips(1), {})
+    return model.reconstruct(light, logits, Strips(1), {})
 
 
 def _listed(outputs: Tensor | Sequence[Tensor]) -> list[np.ndarray]:

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from stillray.cli import program
 from stillray.errors import InputError
-from stillray.families import registry as runtime_families
+from stillray.families.registry import kernels_of
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec, from_json
 from stillray.models.registry import PROVENANCE_KEY, SPEC_KEY, WHOLE_SUFFIX
@@ -142,7 +142,7 @@ def _features(spec: ModelSpec) -> Tensor:
 
 
 def _axes(spec: ModelSpec) -> dict[int, Any]:
-    multiple = runtime_families.FAMILIES[spec.family].multiple(spec)
+    multiple = kernels_of(spec).looks.alignment
     height, width = (torch.export.Dim(name, min=1) for name in ("height", "width"))
     # sizes are whole pixels of the coarsest level
     return {2: height, 3: width} if multiple == 1 else {2: multiple * height, 3: multiple * width}

@@ -3,6 +3,8 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+import tomllib
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +21,9 @@ from stillray.models.registry import find_model, tuned
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training import tradeoff
 from stillray_training.pareto import Priced, advice, pareto_front
-from tests.conftest import make_frame
+from tests.conftest import make_frame, remembered
 
+COMMAND = sys.modules["stillray.cli.tradeoff"]  # the package names the function
 METRIC = {metric.name: metric for metric in metrics.METRICS}
 ROOM = Path(__file__).parents[1] / "data" / "room"
 
@@ -105,8 +108,7 @@ def test_a_short_history_forgets():
         with Denoiser(tuned(info, max_samples=samples)) as denoiser:
             for index in range(8):
                 denoiser.denoise(make_frame(33, 18, index))
-            assert denoiser.history is not None
-            held = denoiser.history.mean[..., 3].max()
+            held = remembered(denoiser).mean[..., 3].max()
         # samples are worth up to 1 each
         assert held <= samples + 1
         assert samples == 1 or held > 3
@@ -119,6 +121,20 @@ def test_settings_that_a_model_does_not_have_are_refused():
         tuned(find_model("high"), kernels=1)
     with pytest.raises(InputError, match=r"max_samples must be 1 or more, got 0\.5"):
         tuned(find_model("wskp-3"), max_samples=0.5)
+
+
+@pytest.fixture(autouse=True)
+def offered(monkeypatch):
+    """The entry point as pyproject.toml has it, whatever is installed."""
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    found = [
+        EntryPoint(*item, COMMAND.GROUP) for item in project["entry-points"][COMMAND.GROUP].items()
+    ]
+    monkeypatch.setattr(
+        COMMAND,
+        "entry_points",
+        lambda group, name: [e for e in found if (e.group, e.name) == (group, name)],
+    )
 
 
 @pytest.fixture(scope="module")
@@ -173,8 +189,7 @@ def test_threads_change_no_picture_and_are_scored_once(monkeypatch):
 
 
 def test_without_the_evaluation_one_line_says_what_to_install(tmp_path, monkeypatch, capsys):
-    command = sys.modules["stillray.cli.tradeoff"]  # the package names the function
-    monkeypatch.setattr(command, "find_spec", lambda name: None)
+    monkeypatch.setattr(COMMAND, "entry_points", lambda **of: [])
     assert cli.main(["tradeoff", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert error == "error: tradeoff needs the evaluation: pip install 'stillray[compare]'\n"

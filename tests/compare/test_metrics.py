@@ -124,7 +124,7 @@ def test_colorvideovdp_sees_noise_colour_and_all_frames(rng):
     scores = [metrics.color_video_vdp([image], [still]) for image in (much, little)]
     assert scores[0] < scores[1] - 1 < 9
     both = metrics.color_video_vdp([much, still], [still, still])
-    assert scores[0] < both < 10  # the last frame alone is perfect
+    assert both < 9  # though the last frame alone is perfect
     assert metrics.evaluate([much, still], [still, still])["cvvdp"] == both
     tinted = still * np.array([1.15, 0.96, 0.9], np.float32)
     assert metrics.color_video_vdp([tinted], [still]) < 9.9

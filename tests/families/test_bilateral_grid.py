@@ -117,7 +117,7 @@ def test_light_goes_as_far_as_the_reach_and_no_further(spec):
         maps[:] = 0.5
         lit = np.flatnonzero(run(mean, maps, spec.decoder)[0, :, 0])
         farthest = max(farthest, int(abs(lit - column).max()))
-    assert farthest == grid.reach(spec)
+    assert farthest == grid.BilateralGridModel(spec).looks.reach
 
 
 def test_threads_do_not_change_the_picture_nor_do_the_borders_of_strips():
@@ -125,7 +125,7 @@ def test_threads_do_not_change_the_picture_nor_do_the_borders_of_strips():
     one, three = (run(mean, maps, THREE.decoder, threads) for threads in (1, 3))
     np.testing.assert_array_equal(one, three)
     # what is farther than the reach is not seen: a part alone, one strip, gives the same
-    reach = grid.reach(THREE)
+    reach = grid.BilateralGridModel(THREE).looks.reach
     left = 16 * (-(-reach // 16))
     part = run(mean[:, : 96 + reach], maps[..., : 96 + reach], THREE.decoder)
     np.testing.assert_allclose(part[:, : 96 - left], one[:, : 96 - left], rtol=1e-4)

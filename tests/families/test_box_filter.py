@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stillray.families import box_filter as kernels
+from stillray.families.fused_kernels import FusedKernelsModel
 from stillray.model_spec import load
 from tests import oracles
 from tests.conftest import ODD_SIZES
@@ -50,7 +51,7 @@ def test_filter_without_sample_weights_equals_the_loop_oracle():
 def test_strips_with_halo_equal_the_whole_image():
     irradiance, samples, logits = _random((61, 23), 3)
     whole = _whole(irradiance, samples, logits)
-    halo = kernels.reach(load("wskp-3"))
+    halo = FusedKernelsModel(load("wskp-3")).looks.reach
     for top in range(0, 61, 16):
         low, high = max(top - halo, 0), min(top + 16 + halo, 61)
         inner = slice(top - low, min(top + 16, 61) - low)

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stillray.arrays.strips import Strips
-from stillray.families import box_filter as kernels
 from stillray.families.depth_to_space import Blocks
+from stillray.families.fused_kernels import FusedKernelsModel
 from stillray.model_spec import load
+from stillray.stages.state import Filterable
 from tests import oracles
-from tests.families.test_multi_resolution import _prepared
 
 
 def by_blocks(maps):
@@ -54,7 +54,9 @@ def test_kernels_from_blocks_equal_the_loop_oracle(size, fill):
         logits[:, size[0] // 2, size[1] // 2] = fill
     mean = np.dstack([rng.lognormal(0, 2, (*size, 3)), rng.uniform(0.1, 16, size)])
     mean = mean.astype(np.float32)
-    got = kernels.reconstruct(_prepared(mean, None), None, [by_blocks(logits)], spec, Strips(3), {})
+    got = FusedKernelsModel(spec).reconstruct(
+        Filterable(mean=mean), [by_blocks(logits)], Strips(3), {}
+    )
     expected = oracles.fused_kernels(
         mean[..., :3], mean[..., 3], np.nan_to_num(logits), spec.decoder
     )

@@ -9,10 +9,18 @@ from stillray.arrays.strips import Strips, planes_of
 from stillray.families import kernel_pyramid as pyramid
 from stillray.families.pyramid_logits import level_layout, level_logits
 from stillray.model_spec import load
+from stillray.stages.state import Filterable
 from tests import oracles
 from tests.families.test_depth_to_space import by_blocks
 
 OPTIONS = load("kpyr-5").decoder
+
+
+def filtered(mean, sample, divisor, previous, logits, options, strips):
+    light = Filterable(mean=mean, sample=sample, modulator=divisor, previous=previous)
+    return pyramid.filter_pyramid(light, logits, options, strips)
+
+
 LEVELS = 3  # what is tested holds for any number; three keep the oracle quick
 
 
@@ -49,7 +57,7 @@ def draw(height, width, seed=0, spread=2.0, options=OPTIONS):
 @pytest.mark.parametrize("spread", [2.0, 1e4])
 def test_pyramid_equals_the_loop_oracle(height, width, spread):
     mean, sample, divisor, previous, logits = draw(height, width, spread=spread)
-    got = pyramid.filter_pyramid(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
+    got = filtered(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
     expected = oracles.kernel_pyramid(mean, sample, divisor, previous, logits, OPTIONS)
     # float32 sums of at most 25 products at each of three levels
     np.testing.assert_allclose(got, expected, rtol=5e-6)
@@ -58,14 +66,14 @@ def test_pyramid_equals_the_loop_oracle(height, width, spread):
 def test_one_kernel_a_level_equals_the_loop_oracle():
     options = dataclasses.replace(OPTIONS, kernel_sizes=(5,))
     inputs = draw(9, 14, options=options)
-    got = pyramid.filter_pyramid(*inputs, options, Strips(1))
+    got = filtered(*inputs, options, Strips(1))
     np.testing.assert_allclose(got, oracles.kernel_pyramid(*inputs, options), rtol=5e-6)
 
 
 def test_a_finest_level_without_kernels_equals_the_loop_oracle():
     options = dataclasses.replace(OPTIONS, finest_kernels=False)
     inputs = draw(9, 14, options=options)
-    got = pyramid.filter_pyramid(*inputs, options, Strips(1))
+    got = filtered(*inputs, options, Strips(1))
     np.testing.assert_allclose(got, oracles.kernel_pyramid(*inputs, options), rtol=5e-6)
 
 
@@ -75,7 +83,7 @@ def test_predicted_weights_of_neighbours_equal_the_loop_oracle(height, width):
     inputs = draw(height, width, options=options)
     expected = oracles.kernel_pyramid(*inputs, options)
     for threads in (1, 3):
-        got = pyramid.filter_pyramid(*inputs, options, Strips(threads))
+        got = filtered(*inputs, options, Strips(threads))
         np.testing.assert_allclose(got, expected, rtol=5e-6)
 
 
@@ -83,9 +91,9 @@ def test_predicted_weights_of_neighbours_equal_the_loop_oracle(height, width):
 def test_logits_that_come_by_blocks_are_those_of_the_pixels(height, width):
     *buffers, logits = draw(height, width)
     blocks = by_blocks(logits[0])
-    expected = pyramid.filter_pyramid(*buffers, logits, OPTIONS, Strips(1))
+    expected = filtered(*buffers, logits, OPTIONS, Strips(1))
     for threads in (1, 3):
-        got = pyramid.filter_pyramid(*buffers, [blocks, *logits[1:]], OPTIONS, Strips(threads))
+        got = filtered(*buffers, [blocks, *logits[1:]], OPTIONS, Strips(threads))
         np.testing.assert_array_equal(got, expected)
 
 
@@ -104,7 +112,7 @@ def coarser_alone(light, beside, above):
     logits[1][layouts[1].double] = np.concatenate([beside, above])
     mean = np.dstack([fine, np.ones(fine.shape[:2])]).astype(np.float32)
     options = dataclasses.replace(options, logit_bound=20.0)
-    return pyramid.filter_pyramid(mean, None, None, None, logits, options, Strips(1))
+    return filtered(mean, None, None, None, logits, options, Strips(1))
 
 
 def test_doubling_continues_a_slope():
@@ -133,15 +141,15 @@ def test_doubling_takes_nothing_from_beyond_an_edge_that_the_network_found():
 
 def test_threads_and_strips_do_not_change_the_picture():
     mean, sample, divisor, previous, logits = draw(150, 70)
-    one = pyramid.filter_pyramid(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
-    three = pyramid.filter_pyramid(mean, sample, divisor, previous, logits, OPTIONS, Strips(3))
+    one = filtered(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
+    three = filtered(mean, sample, divisor, previous, logits, OPTIONS, Strips(3))
     np.testing.assert_array_equal(one, three)
 
 
 def test_constant_light_stays_constant_whatever_the_logits():
     mean, sample, _, previous, logits = draw(33, 18, spread=50)
     mean[..., :3] = sample[:3] = previous[..., :3] = 3.7
-    got = pyramid.filter_pyramid(mean, sample, None, previous, logits, OPTIONS, Strips(1))
+    got = filtered(mean, sample, None, previous, logits, OPTIONS, Strips(1))
     np.testing.assert_allclose(got, 3.7, rtol=1e-5)
 
 
@@ -149,7 +157,7 @@ def test_constant_light_stays_constant_whatever_the_logits():
 def test_no_light_is_invented(seed):
     mean, sample, _, previous, logits = draw(33, 18, seed, spread=20)
     mean[5, 5, :3] = 1e30
-    got = pyramid.filter_pyramid(mean, sample, None, previous, logits, OPTIONS, Strips(1))
+    got = filtered(mean, sample, None, previous, logits, OPTIONS, Strips(1))
     given = (mean, np.moveaxis(sample, 0, -1), previous)
     both = np.concatenate([part[..., :3].reshape(-1, 3) for part in given])
     assert np.isfinite(got).all()
@@ -163,7 +171,7 @@ def test_a_logit_that_is_not_a_number_says_nothing():
     zero = [level.copy() for level in logits]
     zero[1][2, 1, 1] = 0
     got, expected = (
-        pyramid.filter_pyramid(mean, sample, divisor, previous, maps, OPTIONS, Strips(1))
+        filtered(mean, sample, divisor, previous, maps, OPTIONS, Strips(1))
         for maps in (logits, zero)
     )
     np.testing.assert_array_equal(got, expected)
@@ -172,17 +180,17 @@ def test_a_logit_that_is_not_a_number_says_nothing():
 def test_invalid_previous_output_is_not_used():
     mean, sample, divisor, previous, logits = draw(9, 14)
     previous[..., 3] = 0
-    got = pyramid.filter_pyramid(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
-    without = pyramid.filter_pyramid(mean, sample, divisor, None, logits, OPTIONS, Strips(1))
+    got = filtered(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
+    without = filtered(mean, sample, divisor, None, logits, OPTIONS, Strips(1))
     np.testing.assert_array_equal(got, without)
 
 
 def test_one_frame_alone_needs_no_sample_beside_itself():
     mean, _, divisor, previous, logits = draw(9, 14)
-    alone = pyramid.filter_pyramid(mean, None, divisor, previous, logits, OPTIONS, Strips(1))
+    alone = filtered(mean, None, divisor, previous, logits, OPTIONS, Strips(1))
     logits[0][-1] = -100  # nothing is renewed: the accumulated light is left as it is
     same = planes_of(mean)
-    got = pyramid.filter_pyramid(mean, same, divisor, previous, logits, OPTIONS, Strips(1))
+    got = filtered(mean, same, divisor, previous, logits, OPTIONS, Strips(1))
     # the bound of the logits leaves a share of exp(-8), which changes the samples held
     np.testing.assert_allclose(got, alone, rtol=1e-2)
 
@@ -192,5 +200,5 @@ def test_a_past_that_does_not_hold_can_be_let_go():
     mean[..., :3], sample[:3] = 5.0, 1.0
     mean[..., 3], sample[3] = 17.0, 1.0
     logits[0][-1] = 100
-    got = pyramid.filter_pyramid(mean, sample, None, None, logits, OPTIONS, Strips(1))
+    got = filtered(mean, sample, None, None, logits, OPTIONS, Strips(1))
     assert got.max() < 1.03  # exp(8) to 17

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from stillray.arrays.strips import Strips
-from stillray.families import multi_resolution as multires
+from stillray.families.multi_resolution import MultiResolutionModel, level_planes
 from stillray.model_spec import load
-from stillray.stages.prepare import History, Prepared
+from stillray.stages.state import Filterable
 from tests import oracles
 
 SPEC = load("wskp-mr")
@@ -27,25 +27,15 @@ def draw(height, width, seed=0, spread=2.0, light=2.0):
     )
     logits = [
         spread
-        * rng.normal(
-            size=(multires.level_planes(level, LEVELS, OPTIONS), *(s >> level for s in padded))
-        )
+        * rng.normal(size=(level_planes(level, LEVELS, OPTIONS), *(s >> level for s in padded)))
         for level in range(LEVELS)
     ]
     return mean.astype(np.float32), [level.astype(np.float32) for level in logits]
 
 
 def run(mean, logits, spec=SPEC, threads=1, divisor=None):
-    return multires.reconstruct(_prepared(mean, divisor), None, logits, spec, Strips(threads), {})
-
-
-def _prepared(mean, divisor=None):
-    nothing = np.empty(0)
-    return Prepared(
-        history=History(mean=mean, guides=None, exposure=1.0),
-        sample=None, luminance=nothing, divisor=None, modulator=divisor, local=nothing,
-        albedo=None, normal=None, depth=None, depth_unit=1.0, motion=None,
-    )  # fmt: skip
+    light = Filterable(mean=mean, modulator=divisor)
+    return MultiResolutionModel(spec).reconstruct(light, logits, Strips(threads), {})
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (9, 14), (16, 8), (23, 17)])
@@ -98,7 +88,7 @@ def test_light_goes_as_far_as_the_reach_and_no_further():
         mean[..., :3], mean[0, column, :3] = 0, 1
         lit = np.flatnonzero(run(mean, logits)[0, :, 0])
         farthest = max(farthest, int(abs(lit - column).max()))
-    assert farthest == multires.reach(SPEC)
+    assert farthest == MultiResolutionModel(SPEC).looks.reach
 
 
 def test_constant_light_stays_constant_whatever_the_logits():
@@ -129,7 +119,7 @@ def test_parts_of_the_light_add_up_when_filtered_as_the_whole_was():
     mean[7, 9, :3] = 1e3
     logits[0][0, 3, 3] = np.nan
     whole = run(mean, logits)
-    settled = multires.settle(_prepared(mean), logits, SPEC, Strips(1))
+    settled = MultiResolutionModel(SPEC).frozen(Filterable(mean=mean), logits, Strips(1))
     np.testing.assert_allclose(run(mean, settled), whole, rtol=1e-5, atol=1e-4)
     rng = np.random.default_rng(2)
     part, rest = mean.copy(), mean.copy()

@@ -9,7 +9,7 @@ import numpy as np
 
 import stillray
 from stillray.frame import Frame
-from tests.conftest import clean_color, make_frame
+from tests.conftest import clean_color, make_frame, remembered
 
 HEIGHT, WIDTH = 24, 33
 ROUNDING = 1e-4  # float32 sums of a window, a division and a multiplication by albedo
@@ -66,9 +66,14 @@ def case(
 
 
 def run(denoiser: stillray.Denoiser, frames: Iterable[Frame]) -> list[np.ndarray]:
-    """The pictures of a sequence that begins anew."""
+    """The pictures of a sequence that begins anew; what is said to run is what does."""
     denoiser.reset()
-    return [denoiser.denoise(frame) for frame in frames]
+    images = []
+    for frame in frames:
+        said = {stage.name for stage in denoiser.stages(frame) if stage.runs}
+        images.append(denoiser.denoise(frame))
+        assert said == set(denoiser.last_timings)
+    return images
 
 
 def still(height: int = HEIGHT, width: int = WIDTH) -> np.ndarray:
@@ -117,8 +122,7 @@ def accumulated(denoiser: stillray.Denoiser, frame: Frame) -> np.ndarray:
     """Radiance as accumulated, before the kernels."""
     from stillray.stages.demodulate import divisor
 
-    assert denoiser.history is not None
-    mean = denoiser.history.mean[..., :3]
+    mean = remembered(denoiser).mean[..., :3]
     if frame.albedo is None:
         return mean
     albedo = np.clip(frame.albedo, 0, 1)

@@ -38,11 +38,11 @@ def _peak(denoiser: stillray.Denoiser, before: int, after: int) -> float:
     """How far one firefly lifts any pixel, as a multiple of it, some frames later; the worst."""
     (frame,) = clean(1)
     run(denoiser, [frame] * before)
-    past = denoiser.history
+    past = denoiser.state
     base = [denoiser.denoise(frame) for _ in range(1 + after)][-1]
     worst = 0.0
     for brightness in FIREFLIES:
-        denoiser.history = past
+        denoiser.state = past
         images = [denoiser.denoise(_with_firefly(frame, brightness))]
         images += [denoiser.denoise(frame) for _ in range(after)]
         if not np.isfinite(images).all():

@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stillray
-from stillray.families.registry import FAMILIES
+from stillray.families.registry import kernels_of
+from stillray.families.temporal_kernels import history_of
 from stillray.frame import Frame
 from stillray.profiling.synthetic import swing
-from tests.conftest import ODD_SIZES, clean_color, make_frame
+from tests.conftest import ODD_SIZES, clean_color, make_frame, remembered
 
 MODELS = ["wskp-3", "wskp-6", "kpyr-5", "kpyr-5s", "nbg-2x3", "wskp-mr"]
 # float32 sums of 169 products, six kernels, and one division and multiplication by albedo
@@ -82,7 +83,7 @@ def test_the_result_scales_with_exposure(exponent, denoiser):
 
 @pytest.mark.parametrize("firefly", [1e3, 1e8, 1e30, 3e38, np.inf])
 def test_a_firefly_stays_finite_and_within_reach_of_its_window(firefly, denoiser):
-    reach = FAMILIES[denoiser.model.family].reach(denoiser.model.spec)
+    reach = kernels_of(denoiser.model.spec).looks.reach
     color = np.full((40, 40 + reach, 3), 0.25, np.float32)
     color[20, 20] = firefly
     image = denoiser.denoise(Frame(color=color))
@@ -138,9 +139,9 @@ def test_result_stays_in_the_range_of_the_input_of_its_window(
     rng = np.random.default_rng(seed)
     seen = []
     with stillray.Denoiser(model, threads=1) as denoiser:
-        family = FAMILIES[denoiser.model.family]
+        looks = kernels_of(denoiser.model.spec).looks
         # a previous output brings light from as far again
-        reach = family.reach(denoiser.model.spec) * (frames if family.recalls else 1)
+        reach = looks.reach * (frames if looks.previous_output else 1)
         for _ in range(frames):
             color = rng.random((height, width, 3)).astype(np.float32)
             color[rng.integers(height), rng.integers(width)] = firefly
@@ -182,12 +183,13 @@ def test_a_new_size_starts_anew(denoiser):
 
 def test_history_is_a_value_that_can_be_kept_and_put_back(denoiser):
     denoiser.denoise(make_frame(33, 18, 0))
-    kept = denoiser.history
-    copy = kept.mean.copy()
+    kept = denoiser.state
+    mean = history_of(kept).mean
+    copy = mean.copy()
     once = denoiser.denoise(make_frame(33, 18, 1))
     denoiser.denoise(make_frame(33, 18, 2))
-    np.testing.assert_array_equal(kept.mean, copy)
-    denoiser.history = kept
+    np.testing.assert_array_equal(mean, copy)
+    denoiser.state = kept
     np.testing.assert_array_equal(denoiser.denoise(make_frame(33, 18, 1)), once)
 
 
@@ -199,7 +201,11 @@ def test_a_history_that_nobody_holds_is_written_over_without_a_trace(denoiser):
     for frame in frames:  # whoever looks at the history makes it his own
         watched.append(denoiser.denoise(frame))
         kept.append(
-            (denoiser.history, denoiser.history.mean.copy(), denoiser.history.guides.copy())
+            (
+                remembered(denoiser),
+                remembered(denoiser).mean.copy(),
+                remembered(denoiser).guides.copy(),
+            )
         )
     np.testing.assert_array_equal(watched, alone)
     for history, mean, guides in kept:
@@ -221,7 +227,7 @@ def test_motion_from_nowhere_brings_no_history(value, denoiser):
     lost = dataclasses.replace(second, motion=np.full((33, 18, 2), value, np.float32))
     denoiser.denoise(lost)
     # the sample of this frame alone, which is worth at most 1
-    assert denoiser.history.mean[..., 3].max() <= 1
+    assert remembered(denoiser).mean[..., 3].max() <= 1
 
 
 def test_a_box_that_moved_away_leaves_no_ghost(denoiser):
@@ -229,7 +235,7 @@ def test_a_box_that_moved_away_leaves_no_ghost(denoiser):
         denoiser.denoise(make_frame(48, 64, seed, shift=0.0))
     image = denoiser.denoise(make_frame(48, 64, 9, shift=16.0))
     fresh = image  # the uncovered wall holds this frame's sample only
-    samples = denoiser.history.mean[..., 3]
+    samples = remembered(denoiser).mean[..., 3]
     row = 24
     uncovered = slice(64 // 2 - 12, 64 // 2 - 12 + 8)
     assert samples[row, uncovered].max() <= 1
@@ -370,19 +376,6 @@ def test_the_command_line_loads_no_evaluation_until_it_is_asked_for():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-def test_runtime_never_imports_training_or_export():
-    from pathlib import Path
-
-    sources = Path(stillray.__file__).parent.rglob("*.py")
-    for source in sources:
-        text = source.read_text()
-        # the one doorway to the evaluation, which a function opens; nothing that denoises has one
-        if source.name != "tradeoff.py" or source.parent.name != "cli":
-            assert "stillray_training" not in text, source
-        assert "stillray_export" not in text, source
-        assert "import torch" not in text, source
 
 
 @pytest.mark.parametrize("model", ["wskp-3", "kpyr-5", "kpyr-5s"])

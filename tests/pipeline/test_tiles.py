@@ -5,10 +5,10 @@ import pytest
 
 import stillray.pipeline.denoiser
 from stillray.errors import InputError
-from stillray.families.registry import FAMILIES
+from stillray.families.registry import family_of
 from stillray.model_spec import load
 from stillray.pipeline.denoiser import Denoiser
-from stillray.pipeline.tiles import overlap, parse_memory, plan_tiles, tiles_of
+from stillray.pipeline.tiles import parse_memory, plan_tiles, tiles_of
 from tests.conftest import make_frame
 
 
@@ -29,9 +29,9 @@ def test_tiles_give_every_pixel_once_and_see_around_it(shape, size, halo, multip
 
 
 def test_frame_that_fits_is_one_tile():
-    spec = load("kpyr-5")
+    traits = family_of(load("kpyr-5")).traits
     for limit in (None, 64 << 30):
-        (tile,) = plan_tiles((720, 1280), spec, limit)
+        (tile,) = plan_tiles((720, 1280), traits, limit, "kpyr-5")
         assert tile.inner == tile.outer == (slice(0, 720), slice(0, 1280))
 
 
@@ -41,15 +41,15 @@ def area(tile):
 
 
 def test_less_memory_makes_smaller_tiles_until_it_is_refused():
-    spec = load("kpyr-5")
+    traits = family_of(load("kpyr-5")).traits
     areas = []
     for gigabytes in (12, 8, 6, 5):
-        tiles = plan_tiles((2160, 3840), spec, gigabytes << 30)
+        tiles = plan_tiles((2160, 3840), traits, gigabytes << 30, "kpyr-5")
         areas.append(max(area(tile) for tile in tiles))
     assert areas == sorted(areas, reverse=True)
     assert areas[-1] < areas[0]
     with pytest.raises(InputError, match=r"max-memory must be \d+M or more for 3840 x 2160 pixels"):
-        plan_tiles((2160, 3840), spec, 1 << 30)
+        plan_tiles((2160, 3840), traits, 1 << 30, "kpyr-5")
 
 
 @pytest.mark.parametrize(
@@ -71,11 +71,11 @@ def in_tiles(monkeypatch):
     """Makes denoisers use tiles of a size, with an overlap."""
 
     def set_tiles(size, halo=None):
-        def plan(shape, spec, max_memory):
+        def plan(shape, traits, max_memory, name):
             if max_memory is None:
-                return plan_tiles(shape, spec, None)
-            around = overlap(spec) if halo is None else halo
-            return tiles_of(shape, size, around, FAMILIES[spec.family].multiple(spec))
+                return plan_tiles(shape, traits, None, name)
+            around = traits.tile_overlap if halo is None else halo
+            return tiles_of(shape, size, around, traits.tile_alignment)
 
         monkeypatch.setattr(stillray.pipeline.denoiser, "plan_tiles", plan)
 

@@ -72,7 +72,7 @@ def test_every_stage_that_runs_has_work_and_less_buffers_are_less_of_it(model):
             denoiser.denoise(full)
         assert set(denoiser.last_timings) <= set(stage_work(info, full))
     bare = stage_work(info, Frame(color=full.color))
-    assert bare["repair"].bytes == 3 * 4 * 16 * 24
+    assert bare["inspect"].bytes == 3 * 4 * 16 * 24
     assert bare["encode"].bytes < stage_work(info, full)["encode"].bytes
 
 

@@ -12,6 +12,7 @@ from stillray.model_spec import load
 from stillray.stages import albedo_history as antialias
 from stillray.stages.reproject import positions_of
 from tests import oracles
+from tests.conftest import remembered
 
 OPTIONS = load("wskp-3").temporal
 
@@ -102,7 +103,7 @@ def test_each_of_the_first_frames_counts_alike():
         for index in range(6):
             albedo = frames[min(index, 1)].astype(np.float32)
             denoiser.denoise(Frame(color=albedo, albedo=albedo, motion=motion))
-            mean = denoiser.history.divisor[4, 6, 0]
+            mean = remembered(denoiser).divisor[4, 6, 0]
             held.append((mean - albedo[4, 6, 0]) / (frames[0][4, 6, 0] - albedo[4, 6, 0] + 1e-9))
     # what is left of the first: 1/2, 1/3, ..., until the past is worth no more
     np.testing.assert_allclose(held[1:5], [1 / 2, 1 / 3, 1 / 4, 1 / 5], rtol=1e-4)

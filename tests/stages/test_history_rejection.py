@@ -8,7 +8,7 @@ import pytest
 import stillray
 from stillray.arrays.strips import Strips
 from stillray.stages import history_rejection as relight
-from tests.conftest import make_frame
+from tests.conftest import make_frame, remembered
 
 SIZE = (150, 210)  # 9 x 13 blocks, and a rest
 STRIPS = Strips(1)
@@ -113,5 +113,5 @@ def test_layers_still_add_up_where_light_changed(rng):
             )  # fmt: skip
             layers = {"one": color * share, "other": color * (1 - share)}
             image, parts = denoiser.denoise_layers(frame, layers)
-        assert denoiser.history.mean[..., 3].mean() < 1.5
+        assert remembered(denoiser).mean[..., 3].mean() < 1.5
     np.testing.assert_allclose(sum(parts.values()), image, rtol=1e-4, atol=1e-6)

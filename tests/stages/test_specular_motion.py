@@ -8,7 +8,9 @@ import pytest
 import stillray
 from stillray import Frame
 from stillray.arrays.strips import Strips
+from stillray.stages import decide
 from stillray.stages.specular_motion import camera_motion, follow_reflections, has_mirrors
+from tests.conftest import remembered
 
 FOCAL = 100.0  # pixels
 TRAVEL = np.array([0.06, 0.01, 0.03])  # metres a frame
@@ -172,14 +174,13 @@ def test_a_stream_accumulates_what_the_mirror_shows(monkeypatch):
             second = frame(now, motion_of(depth))
             planned = {stage.name: stage.runs for stage in denoiser.stages(second)}
             denoiser.denoise(second)
-            mean = denoiser.history.mean[..., 0]
+            mean = remembered(denoiser).mean[..., 0]
             assert ("mirror" in denoiser.last_timings) == planned["mirror"]
         return np.abs(mean - now)[24:38, 28:56].mean(), planned["mirror"]
 
     followed, ran = stream()
     assert ran
-    for module in ("stages.prepare.mirror", "pipeline.plan"):
-        monkeypatch.setattr(f"stillray.{module}.has_mirrors", lambda *_: False)
+    monkeypatch.setattr(decide, "has_mirrors", lambda *_: False)
     smeared, ran = stream()
     assert not ran
     assert followed < 0.3 * smeared

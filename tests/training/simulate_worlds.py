@@ -9,7 +9,7 @@ from stillray_training.simulate.camera import Camera, look_at
 from stillray_training.simulate.mesh import box, quad, rotation, sphere, translation
 from stillray_training.simulate.plan import Wants, make_plan
 from stillray_training.simulate.stage import Stage
-from stillray_training.simulate.textures import Texture
+from stillray_training.simulate.textures import Relief, Texture
 from stillray_training.simulate.world import Fog, Lamp, Lens, Piece, Sky, Sun, Surface, World
 
 HEIGHT, WIDTH = 17, 23
@@ -28,6 +28,9 @@ def everything() -> World:
             kind="checker", seed=1, low=(0.1, 0.1, 0.1), high=(0.9, 0.8, 0.7), size=2.0
         ),
         roughness=0.2,
+        relief=Relief(
+            picture=Texture(kind="tiles", seed=2, low=(0,) * 3, high=(1,) * 3, size=2.0), depth=0.05
+        ),
     )
     return World(
         label="everything",

@@ -14,7 +14,7 @@ pytest.importorskip("matplotlib")
 from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
 from stillray.families import box_filter as kernels  # noqa: E402
-from stillray.families.registry import FAMILIES  # noqa: E402
+from stillray.families.registry import kernels_of  # noqa: E402
 from stillray.frame import Frame  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray.model_spec.loader import FusedKernels, ImportanceNetwork, PyramidNetwork  # noqa: E402
@@ -58,7 +58,7 @@ def test_variants_differ_in_what_is_compared_and_in_nothing_else():
         assert spec.network.features == base.network.features
         seed = base.training.seed + (name == variants.OTHER_SEED)
         assert spec.training == dataclasses.replace(base.training, seed=seed), name
-        assert spec.training.patch % FAMILIES[spec.family].multiple(spec) == 0, name
+        assert spec.training.patch % kernels_of(spec).looks.alignment == 0, name
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_predicted_kernels_without_preference_are_a_box_over_accumulated_light(t
         for seed in range(3):
             frame = make_frame(20, 31, seed, shift=1.0)
             image = stream.denoise(frame)
-            prepared = prepare(frame, variant.spec, history, Strips(1), {})
+            prepared = prepare(frame, variant.spec, history, Strips(1))
             history = prepared.history
     flat = np.zeros((2, 20, 31), np.float32)
     box = kernels.filter_rows(history.mean, flat, slice(0, 20), variant.spec.decoder)

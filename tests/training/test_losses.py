@@ -7,7 +7,14 @@ import pytest
 import torch
 from skimage.metrics import structural_similarity
 
-from stillray_training.losses import displayed, dissimilarity, smape, unsteadiness
+from stillray_training.losses import (
+    blur_error,
+    displayed,
+    dissimilarity,
+    slope_error,
+    smape,
+    unsteadiness,
+)
 
 
 def _nchw(seed: int) -> torch.Tensor:
@@ -16,9 +23,10 @@ def _nchw(seed: int) -> torch.Tensor:
 
 
 def test_smape_is_the_paper_s_equation():
-    image = torch.tensor([1.0, 0.0, 3.0])
-    reference = torch.tensor([3.0, 0.0, 3.0])
-    torch.testing.assert_close(smape(image, reference, 0.01), torch.tensor(2.0 / 4.01 / 3))
+    image = torch.tensor([[1.0, 0.0, 3.0], [0.0, 0.0, 0.0]])
+    reference = torch.tensor([[3.0, 0.0, 3.0], [0.0, 0.0, 0.0]])
+    wanted = torch.tensor([2.0 / 4.01 / 3, 0.0])  # one value a patch
+    torch.testing.assert_close(smape(image, reference, 0.01), wanted)
 
 
 def test_a_display_clips_and_opens_the_dark():
@@ -54,3 +62,20 @@ def test_losses_of_black_pixels_have_finite_gradients():
     shown, black = displayed(image), displayed(torch.zeros(1, 3, 9, 9))
     (dissimilarity(shown, black) + unsteadiness(shown, black, black, black[:, :1])).backward()
     assert torch.isfinite(image.grad).all()
+
+
+def test_a_slope_that_is_wrong_counts_and_noise_of_single_pixels_hardly():
+    edge = torch.zeros(1, 3, 16, 16)
+    edge[..., 8:] = 0.1
+    assert float(slope_error(edge)) == pytest.approx(0.1 / 14, rel=1e-5)
+    assert float(slope_error(torch.full((1, 3, 16, 16), 0.3))) == 0
+    checks = torch.tensor([0.1, -0.1]).repeat(8)
+    assert float(slope_error(checks.expand(1, 3, 16, 16))) == pytest.approx(0, abs=1e-7)
+
+
+def test_mottling_counts_where_noise_averages_out():
+    patch = torch.zeros(1, 3, 32, 32)
+    patch[..., :16, :16] = 0.1
+    assert float(blur_error(patch)) == pytest.approx(2 * 0.1 / 4, rel=1e-5)
+    checks = torch.tensor([0.1, -0.1]).repeat(16)
+    assert float(blur_error(checks.expand(1, 3, 32, 32))) == pytest.approx(0, abs=1e-7)

@@ -10,13 +10,13 @@ torch = pytest.importorskip("torch")
 from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.frame import Frame  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
-from stillray.stages.prepare import History, Prepared  # noqa: E402
+from stillray.stages.state import Filterable  # noqa: E402
 from stillray_training.ablation import measure, variants  # noqa: E402
 from stillray_training.peers.kernel_prediction import kernels_of  # noqa: E402
 from stillray_training.peers.multi_resolution_prediction import (  # noqa: E402
     FAMILY,
+    MultiResolutionPredictedModel,
     multi_resolution_predicted_kernels,
-    reconstruct,
 )
 from tests import oracles  # noqa: E402
 from tests.families.test_multi_resolution import ROUNDING  # noqa: E402
@@ -43,14 +43,9 @@ def draw(height, width, seed=0, spread=2.0, light=2.0, size=3):
 
 
 def run(mean, logits, decoder=DECODER, threads=1, divisor=None):
-    nothing = np.empty(0)
-    prepared = Prepared(
-        history=History(mean=mean, guides=None, exposure=1.0),
-        sample=None, luminance=nothing, divisor=None, modulator=divisor, local=nothing,
-        albedo=None, normal=None, depth=None, depth_unit=1.0, motion=None,
-    )  # fmt: skip
-    spec = dataclasses.replace(SPEC, decoder=decoder)
-    return reconstruct(prepared, None, logits, spec, Strips(threads), {})
+    model = MultiResolutionPredictedModel(dataclasses.replace(SPEC, decoder=decoder))
+    light = Filterable(mean=mean, modulator=divisor)
+    return model.reconstruct(light, logits, Strips(threads), {})
 
 
 def decode(mean, logits, decoder=DECODER):

@@ -7,7 +7,8 @@ pytest.importorskip("mitsuba")
 
 from stillray.errors import InputError
 from stillray_training.simulate import mesh as shapes
-from stillray_training.simulate.generators import GENERATORS, generate
+from stillray_training.simulate.generators import GENERATORS, generate, openings
+from stillray_training.simulate.generators.home import Home
 from stillray_training.simulate.mesh import Mesh
 from stillray_training.simulate.plan import make_plan
 from stillray_training.simulate.textures import KINDS, pattern, sky
@@ -111,8 +112,9 @@ def test_every_scene_gives_a_plan_of_finite_geometry_and_light(name, seed):
 def test_together_a_few_scenes_call_for_every_effect():
     from stillray_training.simulate.effects import EFFECTS
 
-    # table tops are quick to make
+    # table tops are quick to make; a table by a window has relief, which they have not
     called = {e for seed in range(60) for e in generate("tabletop", seed).effects}
+    called |= {e for seed in range(3) for e in generate("desk", seed).effects}
     assert called == set(EFFECTS)
 
 
@@ -165,3 +167,55 @@ def test_a_scene_without_room_for_a_camera_says_so(mi):
     )
     with pytest.raises(InputError, match="scene solid has no open place for a camera"):
         find_path(stage_of(mi, world), np.random.default_rng(0), frames=2, move="still", speed=0.0)
+
+
+@pytest.mark.parametrize("style", openings.BARS)
+@pytest.mark.parametrize("seed", range(3))
+def test_bars_fill_their_opening_and_do_not_leave_it(style, seed):
+    mesh = shapes.join(openings.BARS[style](Home([seed], None), 1.3, 1.7))
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    assert (low[:2] > -0.015).all()
+    assert (high[:2] < np.array([1.3, 1.7]) + 0.015).all()
+    assert (high - low)[1] > 1.5
+    # about a quarter of a bar's surface is seen: they bar the view and let most of it through
+    assert 0.01 < mesh.area() / 4 / (1.3 * 1.7) < 0.35
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_something_moves_in_every_scene_of_shadows(seed):
+    world = generate("shadows", seed)
+    assert "moving_object" in world.effects
+    for group, motion in world.moving.items():
+        step = motion(1.0)[:3, 3] - motion(0.0)[:3, 3]
+        assert world.pieces_of(group)
+        assert not np.allclose(motion(1.0), motion(0.0)), step
+
+
+@pytest.mark.parametrize("name", ["interior", "desk"])
+def test_rooms_are_muted_and_lit_from_wide_surfaces(name):
+    saturation, brightest = [], []
+    for seed in range(3):
+        world = generate(name, seed)
+        for piece in world.pieces:
+            color = np.array(piece.surface.color)
+            saturation.append((color.max() - color.min()) / color.max())
+        gain = max(max(lamp.radiance) for lamp in world.lamps)
+        power = [np.mean(lamp.radiance) * lamp.mesh.area() for lamp in world.lamps]
+        main = world.lamps[int(np.argmax(power))]
+        brightest.append(main.mesh.area())
+        assert max(main.radiance) > 0.05 * gain  # no bulb outshines the window by far
+    assert np.median(saturation) < 0.35
+    assert min(brightest) > 0.1  # square metres
+
+
+def test_the_picture_of_a_fitted_face_covers_it_once():
+    face = openings.fitted(shapes.quad([1, 2, 0], [0.9, 0, 0], [0, 2.1, 0]))
+    np.testing.assert_allclose(np.ptp(face.uvs, axis=0), 1)
+
+
+def test_brighter_lamps_are_asked_more_often():
+    dim = Lamp(mesh=shapes.sphere([0, 2, 0], 0.1, rings=4), radiance=(1, 1, 1))
+    bright = Lamp(mesh=shapes.sphere([1, 2, 0], 0.1, rings=4), radiance=(100, 100, 100))
+    plan = make_plan(World(label="two", lamps=[dim, bright]), ("soft_shadow",))
+    weight = {n: s.emitter.params["sampling_weight"] for n, s in plan.shapes.items()}
+    assert weight["lamp1"] == pytest.approx(10 * weight["lamp0"])

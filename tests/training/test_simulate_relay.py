@@ -14,7 +14,7 @@ from stillray_training.simulate.mesh import quad, sphere
 from stillray_training.simulate.relay import relay_radiance
 from stillray_training.simulate.variant import load_mitsuba
 from stillray_training.simulate.world import Lamp, Piece, Surface, World
-from tests.training.simulate_worlds import everything, exact, moment, stage_of
+from tests.training.simulate_worlds import FRONT, everything, exact, moment, stage_of
 
 EFFECTS = ("soft_shadow", "texture", "glossy", "mirror_glass", "environment", "sun")
 
@@ -79,3 +79,30 @@ def test_a_medium_goes_to_mitsubas_volumetric_loop(mi):
     empty = (clear == 0).all(axis=-1)
     assert empty.mean() > 0.1
     assert (foggy[empty] > 0).any(axis=-1).mean() > 0.9  # the air shines
+
+
+def test_bounded_light_is_alike_in_frames_and_references(mi):
+    # one stage, one bound: the mean of many noisy samples is the reference
+    stage = stage_of(mi, glassy(), EFFECTS, height=16, width=16)
+    shot = trace.Shot(time=1.0, camera=FRONT, previous=FRONT, jitter=np.zeros(2), clamp=0.05)
+    stage.aim(FRONT, 5.0)
+    pixels = np.arange(256)
+    own = np.array(
+        [trace.first_hits(stage, shot, pixels, seed, 64)["color"] / 64 for seed in range(12)]
+    )
+    other = np.array(
+        [relay_radiance(stage, stage.sensor, 64, 90 + seed, 1 << 22, 0.05) for seed in range(12)]
+    ).reshape(own.shape)
+    means = [part.mean(axis=1) for part in (own, other)]
+    error = np.sqrt(sum(part.var(axis=0, ddof=1) for part in means) / 12) + 1e-6
+    assert (np.abs(means[0].mean(axis=0) - means[1].mean(axis=0)) < 4.5 * error).all()
+    free = relay_radiance(stage, stage.sensor, 64, 5, 1 << 22).mean()
+    assert other.mean() < 0.99 * free  # and the bound takes some of it
+
+
+def test_direct_light_is_not_bounded(mi):
+    wall = Lamp(mesh=quad([-20, -20, 0], [40, 0, 0], [0, 40, 0]), radiance=(3.0, 2.0, 1.0))
+    stage = stage_of(mi, World(label="t", lamps=[wall]), ("soft_shadow",), height=4, width=4)
+    stage.aim(FRONT, 5.0)
+    image = relay_radiance(stage, stage.sensor, 4, 1, 1 << 22, 1e-3)
+    np.testing.assert_allclose(image, np.broadcast_to([3.0, 2.0, 1.0], image.shape), rtol=1e-5)

@@ -16,7 +16,7 @@ from stillray_training.simulate import buffers, trace, variant
 from stillray_training.simulate.jobs import Job, run_job
 from stillray_training.simulate.sequence import SequenceOptions, is_complete, render_sequence
 from stillray_training.simulate.variant import load_mitsuba
-from tests.training.simulate_worlds import everything, exact, moment, noisy, stage_of
+from tests.training.simulate_worlds import FRONT, everything, exact, moment, noisy, stage_of
 
 SMALL = SequenceOptions(frames=2, height=24, width=32, reference_spp=2, seed=5, speed=0.02)
 EFFECTS = ("moving_object", "soft_shadow")
@@ -144,25 +144,56 @@ def test_a_frame_of_several_launches_is_the_mean_of_all_their_samples(mi, stage,
     calls = []
     original = buffers.first_hits
 
-    def keep(stage, pixels, *rest):
-        seen = original(stage, pixels, *rest)
-        calls.append((pixels, {name: values.copy() for name, values in seen.items()}))
+    def keep(stage, shot, pixels, seed, each):
+        seen = original(stage, shot, pixels, seed, each)
+        calls.append((each, {name: values.copy() for name, values in seen.items()}))
         return seen
 
     monkeypatch.setattr(buffers, "first_hits", keep)
     monkeypatch.setattr(trace, "_LANES", 2 * 24 * 32)
     frame = buffers.render_noisy(stage, moment(), spp=5, seed=3)
-    assert [len(pixels) for pixels, _ in calls] == [2 * 24 * 32, 2 * 24 * 32, 24 * 32]
+    assert [each for each, _ in calls] == [2, 2, 1]
     assert (calls[0][1]["color"] != calls[1][1]["color"]).any()  # not the same samples thrice
-    color, hits, normal = np.zeros((24 * 32, 3)), np.zeros(24 * 32), np.zeros((24 * 32, 3))
-    for pixels, seen in calls:
-        np.add.at(color, pixels, seen["color"] / 5)
-        np.add.at(hits, pixels, seen["hit"])
-        np.add.at(normal, pixels, seen["normal"] * seen["hit"][:, None])
-    np.testing.assert_allclose(frame["color"].reshape(-1, 3), color, rtol=1e-6, atol=1e-9)
+    color, hits, normal = (
+        sum(seen[name] for _, seen in calls) for name in ("color", "hit", "normal")
+    )
+    np.testing.assert_allclose(frame["color"].reshape(-1, 3), color / 5, rtol=1e-6, atol=1e-9)
     assert ((frame["depth"].ravel() > 0) == (hits > 0)).all()
     length = np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
     np.testing.assert_allclose(frame["normal"].reshape(-1, 3), normal / length, atol=1e-6)
+
+
+def test_several_samples_are_the_sum_of_single_ones(mi, stage):
+    shot = trace.Shot(time=1.0, camera=FRONT, previous=FRONT, jitter=np.zeros(2))
+    stage.aim(FRONT, 5.0)
+    number = np.arange(24 * 32)
+    together = trace.first_hits(stage, shot, number, 7, 4)
+    apart = trace.first_hits(stage, shot, np.repeat(number, 4), 7)
+    for name, values in apart.items():
+        sums = values.reshape(len(number), 4, *values.shape[1:]).sum(axis=1)
+        np.testing.assert_allclose(together[name], sums, rtol=1e-4, atol=1e-4)
+
+
+def test_blocks_are_further_samples_of_the_last_frame(mi, stage, tmp_path):
+    options = replace(SMALL, blocks=(1, 2))
+    render_sequence(stage, tmp_path, options)
+    assert [path.name for path in sorted(tmp_path.glob("block_*"))] == [
+        "block_0001_00.exr", "block_0001_01.exr",
+    ]  # fmt: skip
+    frames = [read_exr(tmp_path / name) for name in ("frame_0001.exr", "block_0001_00.exr")]
+    assert (frames[0].color != frames[1].color).mean() > 0.3
+
+
+@pytest.mark.parametrize("blocks", [(0,), (1, -2)])
+def test_blocks_without_samples_are_refused(blocks):
+    with pytest.raises(InputError, match="blocks must be of 1 sample or more"):
+        replace(SMALL, blocks=blocks)
+
+
+@pytest.mark.parametrize("clamp", [(0.0, 1.0), (3.0, 2.0)])
+def test_a_clamp_that_bounds_nothing_is_refused(clamp):
+    with pytest.raises(InputError, match="clamp must be two bounds above 0"):
+        replace(SMALL, clamp=clamp)
 
 
 def test_a_depth_that_is_asked_for_takes_the_place_of_the_effects_own(mi):

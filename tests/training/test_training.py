@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -11,17 +12,27 @@ torch = pytest.importorskip("torch")
 
 from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
-from stillray.io.exr.read_write import write_channels  # noqa: E402
+from stillray.io.exr.read_write import read_exr, write_channels  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray_training import provenance, train  # noqa: E402
 from stillray_training.dataset import (  # noqa: E402
+    NOISY,
+    QUIET,
     STARTS,
+    STILL,
     PatchSampler,
     find_sequences,
     load_examples,
 )
-from stillray_training.losses import displayed, dissimilarity  # noqa: E402
+from stillray_training.losses import (  # noqa: E402
+    blur_error,
+    displayed,
+    dissimilarity,
+    slope_error,
+)
+from stillray_training.simulate.sequence import write  # noqa: E402
 from stillray_training.start import STARTED_FROM, start_from  # noqa: E402
+from stillray_training.targets import make_target, read_target  # noqa: E402
 from tests.conftest import clean_color, make_frame  # noqa: E402
 
 
@@ -50,7 +61,8 @@ def data(tmp_path_factory):
         truth = clean_color(40, 48)
         write_channels(sequence / "ref_0002.exr", {c: truth[..., i] for i, c in enumerate("RGB")})
         if finished:
-            (sequence / "sequence.json").write_text("{}")
+            record = {"options": {"spp": 1}}
+            (sequence / "sequence.json").write_text(json.dumps(record))
     return folder
 
 
@@ -70,8 +82,50 @@ def test_examples_hold_one_sample_a_few_and_more(data, small):
     held = [float(np.median(example.mean[..., 3])) for example in examples]
     assert len(held) == len(STARTS) + 1
     assert held[0] <= 1 < held[1]
-    assert [example.quiet for example in examples] == [False] * len(STARTS) + [True]
+    assert [example.kind for example in examples] == [NOISY] * len(STARTS) + [QUIET]
+    assert [example.frames for example in examples[: len(STARTS)]] == list(STARTS)
     assert held[-1] <= 1
+
+
+def test_blocks_give_frames_of_more_samples(data, small, tmp_path):
+    sequence = tmp_path / "room-0000-0"
+    shutil.copytree(find_sequences(data)[0], sequence)
+    # two more blocks whose samples are the reference's: their mean is known
+    last = sorted(sequence.glob("frame_*.exr"))[-1]
+    for index in range(2):
+        shutil.copy(last, sequence / f"block_0002_{index:02d}.exr")
+    record = json.loads((sequence / "sequence.json").read_text())
+    record["options"]["blocks"] = [3, 12]
+    (sequence / "sequence.json").write_text(json.dumps(record))
+    examples = load_examples(sequence, small, Strips(1))
+    still = [example for example in examples if example.kind == STILL]
+    quiet = [example for example in examples if example.kind == QUIET]
+    assert {example.spp for example in still} <= {1.0, 3.0, 4.0, 12.0, 13.0, 15.0, 16.0}
+    assert all(32 <= example.spp <= 4096 for example in quiet)
+    for example in quiet:
+        light = example.sample[..., :3] * example.divisor
+        off = np.median(np.abs(light - example.reference))
+        noise = np.median(np.abs(read_exr(last).color - example.reference))
+        assert off < 0.75 * noise
+    # what network and feature see: samples that are told count, in half of the patches
+    recipe = dataclasses.replace(small.training, still_share=1.0)
+    sampler = PatchSampler(examples, dataclasses.replace(small, training=recipe))
+    planes = [sampler.batch(step).features for step in range(4)]
+    assert np.concatenate(planes)[:, small.network.features.index("samples")].max() > 0.7
+
+
+def test_a_target_takes_the_place_of_the_reference(data, small, tmp_path):
+    sequence = tmp_path / "room-0000-0"
+    shutil.copytree(find_sequences(data)[0], sequence)
+    pytest.importorskip("pyoidn")
+    truth = clean_color(40, 48)
+    noisy = truth * np.random.default_rng(0).uniform(0.7, 1.3, truth.shape)
+    write(sequence / "ref_0002.exr", {"color": noisy.astype(np.float32)})
+    before = read_target(sequence)[0]
+    bias = make_target(sequence)
+    after = read_target(sequence)[0]
+    assert abs(bias) < 0.05
+    assert np.abs(after - truth).mean() < 0.5 * np.abs(before - truth).mean()
 
 
 def test_quiet_patches_come_as_often_as_asked(data, small):
@@ -136,7 +190,10 @@ def test_training_lowers_the_loss_and_resumes_where_it_stopped(data, small, tmp_
     assert train.reconstruct_loss(whole, batch, small) < before
 
 
-@pytest.mark.parametrize("key", ["display_weight", "squared_weight", "structure_weight"])
+@pytest.mark.parametrize(
+    "key",
+    ["display_weight", "squared_weight", "structure_weight", "slope_weight", "blur_weight"],
+)
 def test_a_weight_adds_its_part_of_the_loss(data, small, key):
     network = train.FAMILIES[small.family].network(small)
     batch = PatchSampler(load_examples(find_sequences(data)[0], small, Strips(1)), small).batch(3)
@@ -158,8 +215,10 @@ def test_a_weight_adds_its_part_of_the_loss(data, small, key):
         "display_weight": (shown - wanted).abs().mean(),
         "squared_weight": ((shown - wanted) ** 2).mean(),
         "structure_weight": dissimilarity(shown, wanted),
+        "slope_weight": slope_error(shown - wanted),
+        "blur_weight": blur_error(shown - wanted),
     }[key]
-    assert loss(3.0) - loss(0.0) == pytest.approx(3 * float(part), rel=1e-4)
+    assert loss(3.0) - loss(0.0) == pytest.approx(3 * float(part.mean()), rel=1e-4)
 
 
 def test_a_recurrent_model_learns_from_its_own_previous_outputs(data, tmp_path):
@@ -195,6 +254,30 @@ def test_a_checkpoint_of_another_network_is_refused(data, small, tmp_path):
 def test_an_empty_data_folder_is_refused(small, tmp_path):
     with pytest.raises(InputError, match="data must hold finished sequences"):
         train.train(small, [tmp_path], tmp_path / "out")
+
+
+def credited(folder, name, licence):
+    asset = {"name": name, "title": "A Chair", "author": "A. Nyone", "licence": licence,
+             "source": "https://example.org/chair"}  # fmt: skip
+    folder.mkdir()
+    (folder / "sequence.json").write_text(json.dumps({"assets": [asset]}))
+    return folder
+
+
+def test_provenance_credits_the_assets_in_the_data(small, tmp_path):
+    sequences = [credited(tmp_path / "interior-0000-0", "chair", "CC BY 4.0"), tmp_path / "old-0-0"]
+    (tmp_path / "data.json").write_text(json.dumps(["interior-0000-0"]))
+    (tmp_path / provenance.ASSETS).write_text(json.dumps(provenance.assets_of(sequences)))
+    (tmp_path / "log.csv").write_text("step,loss\n1,0.5\n")
+    credits = provenance.collect(tmp_path, small, 40)["credits"]
+    assert credits["chair"] == '"A Chair" by A. Nyone (https://example.org/chair), CC BY 4.0'
+    assert "interior.py" in credits["interior"]
+
+
+@pytest.mark.parametrize("licence", ["CC BY-NC 4.0", "CC BY-SA 4.0", "proprietary"])
+def test_assets_under_other_licences_train_no_model(tmp_path, licence):
+    with pytest.raises(InputError, match="under CC0 or CC BY, got chair"):
+        provenance.assets_of([credited(tmp_path / "interior-0000-0", "chair", licence)])
 
 
 def test_provenance_counts_scenes_and_credits_them(small, tmp_path):

@@ -2,28 +2,46 @@
 
 A sequence goes through the runtime's own repair, demodulation, reprojection and accumulation, so
 that a network learns from exactly what it will see. Its last frame is accumulated from several
-starting frames: pixels then hold one sample, a few, or many.
+starting frames: pixels then hold one sample, a few, or many. Where the frame comes in independent
+blocks of samples, it is also seen alone with 2 to 32 samples a pixel, and with hundreds to
+thousands, whose noise is that of 32 made smaller.
 """
 
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from stillray.arrays.strips import Strips, interleave
+from stillray.families.contract import Context, Request
+from stillray.families.registry import kernels_of
+from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr
 from stillray.model_spec import ModelSpec
 from stillray.pipeline.denoiser import Denoiser
 from stillray.stages import features as encode
-from stillray.stages.prepare import History, Prepared, prepare
-from stillray.stages.previous_output import recalled
-from stillray_training.quiet import quiet_frame
+from stillray.stages.decide import Wants
+from stillray.stages.prepare import prepare
+from stillray.stages.state import History, Prepared
+from stillray_training.blocks import mean_frame, read_blocks
+from stillray_training.quiet import add_fireflies, quiet_frame
 from stillray_training.simulate.sequence import is_complete
+from stillray_training.targets import read_target
 
 STARTS = (1, 3, 8)  # frames accumulated before the last one is learned from
+#: How examples differ, and how often a patch is of that kind.
+NOISY, STILL, QUIET = "noisy", "still", "quiet"
+_STILLS = 3  # examples of a few samples a pixel, of each sequence that has blocks
+_QUIETS = 2  # and of hundreds to thousands
+_MOST_SAMPLES = 4096
+_FIREFLIES = 0.3  # share of quiet examples that have some
+_BLURRED_PAST = 0.5  # share of quiet examples that have a past, blurred by having been moved
+_SAMPLES_KNOWN = 0.5  # share of patches whose frames say how many samples they have
 _AT_BORDER = 0.3  # share of patches that touch the top or bottom, and the left or right
 _FLAT = 0.05  # relative contrast of a reference patch below which there is little to learn
 
@@ -43,7 +61,10 @@ class Example:
     depth_unit: float
     previous: np.ndarray  # (h, w, 4) radiance of the previous output, and how much of it is valid
     reference: np.ndarray  # (h, w, 3) radiance
-    quiet: bool = False  # see `stillray_training.quiet`
+    spp: float = 1.0  # samples a pixel of each frame
+    kind: str = NOISY  # or STILL or QUIET
+    sequence: str = ""  # name of its folder
+    frames: int = 1  # accumulated
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,44 +89,118 @@ def find_sequences(folder: Path) -> list[Path]:
 
 
 def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Example]:
-    """The last frame of a sequence, accumulated from each of the starting frames; then, quiet."""
-    (reference_path,) = sorted(sequence.glob("ref_*.exr"))[-1:]
+    """The last frame of a sequence, accumulated from each of the starting frames; then others."""
     frames = [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
-    reference = read_exr(reference_path).color
+    reference, spp = read_target(sequence)
+    examples = _all_examples(sequence, frames, reference, spp, spec, strips)
+    return [replace(example, sequence=sequence.name) for example in examples]
+
+
+def _all_examples(
+    sequence: Path,
+    frames: list[Frame],
+    reference: np.ndarray,
+    spp: float,
+    spec: ModelSpec,
+    strips: Strips,
+) -> list[Example]:
     # of its own for every sequence, the same every time
     rng = np.random.default_rng([spec.training.seed, zlib.crc32(sequence.name.encode())])
-    runs = [frames[-count:] for count in STARTS]
-    runs.append([quiet_frame(frames[-1], reference, rng)])
-    examples: list[Example] = []
-    for run in runs:
-        history: History | None = None
-        for frame in run:
-            prepared = prepare(frame, spec, history, strips, {}, wants_sample=True)
-            history = prepared.history
-        assert history is not None
-        assert prepared.divisor is not None
-        assert prepared.modulator is not None
-        assert prepared.albedo is not None
-        assert prepared.normal is not None
-        assert prepared.depth is not None
-        shared = examples[0] if examples else None  # one frame: its features are held once
-        examples.append(
-            Example(
-                mean=history.mean,
-                sample=_sample(prepared),
-                exposure=history.exposure,
-                divisor=shared.divisor if shared else prepared.divisor,
-                modulator=prepared.modulator,
-                albedo=shared.albedo if shared else prepared.albedo,
-                normal=shared.normal if shared else prepared.normal,
-                depth=shared.depth if shared else prepared.depth,
-                depth_unit=prepared.depth_unit,
-                previous=np.broadcast_to(np.float32(0), history.mean.shape),
-                reference=reference,
-                quiet=len(examples) == len(STARTS),
-            )
-        )
+    examples = []
+    for count in STARTS:
+        example = _example(frames[-count:], reference, spec, strips)
+        examples.append(replace(example, spp=spp, frames=count))
+    blocks = read_blocks(sequence, frames[-1], spp)
+    if len(blocks) == 1:
+        quiet = _example([quiet_frame(frames[-1], reference, rng)], reference, spec, strips)
+        return [*examples, replace(quiet, kind=QUIET)]
+    for frame, samples in _stills(blocks, rng):
+        example = _example([frame], reference, spec, strips)
+        examples.append(replace(example, spp=samples, kind=STILL))
+    for frame, samples in _quiets(blocks, reference, rng):
+        example = _example([frame], reference, spec, strips)
+        example = replace(example, spp=samples, kind=QUIET)
+        if rng.random() < _BLURRED_PAST:
+            example = _with_blurred_past(example, rng)
+        examples.append(example)
     return examples
+
+
+def _stills(
+    blocks: list[tuple[Frame, float]], rng: np.random.Generator
+) -> Iterator[tuple[Frame, float]]:
+    """Frames of 2 samples a pixel to all that there are, and their counts."""
+    for _ in range(_STILLS):
+        most = sum(count for _, count in blocks)
+        wanted = np.exp(rng.uniform(np.log(2), np.log(most)))
+        chosen: list[tuple[Frame, float]] = []
+        count = 0.0
+        for index in rng.permutation(len(blocks)):
+            if not chosen or count + blocks[index][1] <= wanted:
+                chosen.append(blocks[index])
+                count += blocks[index][1]
+        yield mean_frame(chosen), count
+
+
+def _quiets(
+    blocks: list[tuple[Frame, float]], reference: np.ndarray, rng: np.random.Generator
+) -> Iterator[tuple[Frame, float]]:
+    """Frames of more samples than were taken: the noise of all of them, made smaller."""
+    whole, most = mean_frame(blocks), sum(count for _, count in blocks)
+    for _ in range(_QUIETS):
+        count = float(np.exp(rng.uniform(np.log(2 * most), np.log(_MOST_SAMPLES))))
+        noise = np.float32(np.sqrt(most / count))
+        color = reference + noise * (whole.color - reference)
+        if rng.random() < _FIREFLIES:
+            color = add_fireflies(color, reference, rng)
+        yield replace(whole, color=color.astype(np.float32), motion=None), count
+
+
+def _with_blurred_past(example: Example, rng: np.random.Generator) -> Example:
+    """As if frames as quiet had come before: each look at the past has blurred it a little."""
+    frames = float(rng.integers(1, 16))
+    mean, previous = example.mean.copy(), np.empty_like(example.mean)
+    previous[..., :3] = mean[..., :3] * example.modulator
+    previous[..., 3] = 1
+    for image in (mean, previous):
+        for _ in range(int(rng.integers(1, 4))):
+            # bilinear, a part of a pixel off, there and back
+            ways = [np.array([part, 1 - part], np.float32) for part in rng.random(2)]
+            across, down = (np.convolve(way, way[::-1]).astype(np.float32) for way in ways)
+            light = np.ascontiguousarray(image[..., :3])
+            image[..., :3] = cv2.sepFilter2D(
+                light, -1, across, down, borderType=cv2.BORDER_REPLICATE
+            )
+    own = example.sample[..., 3:]
+    light = (frames * mean[..., :3] + own * example.sample[..., :3]) / (frames + own)
+    mean = np.concatenate([light, own + frames], -1)
+    return replace(example, mean=mean, previous=previous)
+
+
+def _example(run: list[Frame], reference: np.ndarray, spec: ModelSpec, strips: Strips) -> Example:
+    history: History | None = None
+    for frame in run:
+        prepared = prepare(frame, spec, history, strips, Wants(sample=True))
+        history = prepared.history
+    assert history is not None
+    assert prepared.divisor is not None
+    assert prepared.modulator is not None
+    assert prepared.albedo is not None
+    assert prepared.normal is not None
+    assert prepared.depth is not None
+    return Example(
+        mean=history.mean,
+        sample=_sample(prepared),
+        exposure=history.exposure,
+        divisor=prepared.divisor.astype(np.float16),
+        modulator=prepared.modulator.astype(np.float16),
+        albedo=prepared.albedo.astype(np.float16),
+        normal=prepared.normal.astype(np.float16),
+        depth=prepared.depth,
+        depth_unit=prepared.depth_unit,
+        previous=np.broadcast_to(np.float32(0), history.mean.shape),
+        reference=reference,
+    )
 
 
 def _sample(prepared: Prepared) -> np.ndarray:
@@ -114,35 +209,28 @@ def _sample(prepared: Prepared) -> np.ndarray:
     return interleave(prepared.sample, out=np.empty_like(prepared.history.mean))
 
 
-def previous_outputs(sequence: Path, model: Path, strips: Strips) -> list[np.ndarray]:
+def previous_outputs(sequence: Path, model: Path, strips: Strips) -> dict[int, np.ndarray]:
     """What a model, run as users run it, remembers at the last frame of a sequence.
 
     Returns
     -------
-    list of (h, w, 4) arrays
-        For each of the starting frames: radiance of the previous output at the pixels of the last
-        frame, and how much of it is valid.
+    dict of (h, w, 4) arrays
+        By how many frames are accumulated: radiance of the previous output at the pixels of the
+        last frame, and how much of it is valid.
     """
     frames = [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
-    remembered = []
+    remembered = {}
     with Denoiser(model, threads=1) as denoiser:
-        for count in STARTS:
+        family = kernels_of(denoiser.model.spec)
+        for count in STARTS[1:]:  # one frame has no past
             denoiser.reset()
             for frame in frames[-count:-1]:
                 denoiser.denoise(frame)
-            prepared = prepare(
-                frames[-1],
-                denoiser.model.spec,
-                denoiser.history,
-                strips,
-                {},
-                wants_sample=True,
-                recalls=True,
-            )
-            previous = recalled(denoiser.history, prepared, denoiser.model.spec, strips, {})
-            remembered.append(
-                np.zeros((*frames[-1].shape, 4), np.float32) if previous is None else previous
-            )
+            context = Context(strips=strips)
+            plan = family.plan(frames[-1], denoiser.state, Request(), context)
+            _, previous = family.prepare(plan, context)
+            if previous is not None:
+                remembered[count] = previous
     return remembered
 
 
@@ -160,8 +248,9 @@ class PatchSampler:
     def __init__(self, examples: list[Example], spec: ModelSpec) -> None:
         # places, not examples: those are replaced when previous outputs are renewed
         self._examples = examples
-        self._noisy = [place for place, one in enumerate(examples) if not one.quiet]
-        self._quiet = [place for place, one in enumerate(examples) if one.quiet]
+        self._places: dict[str, list[int]] = {}
+        for place, one in enumerate(examples):
+            self._places.setdefault(one.kind, []).append(place)
         self._spec = spec
 
     def batch(self, step: int) -> Batch:
@@ -173,8 +262,12 @@ class PatchSampler:
 
     def _patch(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
         size = self._spec.training.patch
-        quiet = rng.random() < self._spec.training.quiet_share
-        places = self._quiet if quiet else self._noisy
+        recipe = self._spec.training
+        drawn = rng.random()
+        kind = QUIET if drawn < recipe.quiet_share else NOISY
+        if recipe.quiet_share <= drawn < recipe.quiet_share + recipe.still_share:
+            kind = STILL
+        places = self._places.get(kind) or self._places[NOISY]
         for _ in range(8):  # look for a patch in which there is something to learn
             example = self._examples[places[rng.integers(len(places))]]
             height, width = example.reference.shape[:2]
@@ -197,15 +290,16 @@ class PatchSampler:
         sample = turn(example.sample[window]).copy()
         sample[..., :3] = sample[..., order] * gain
         reference = turn(example.reference[window])[..., order] * gain
-        modulator = turn(example.modulator[window])[..., order]
+        modulator = turn(example.modulator[window])[..., order].astype(np.float32)
         previous = turn(example.previous[window]).copy()
         previous[..., :3] = previous[..., order] * gain
-        albedo: np.ndarray | None = turn(example.albedo[window])[..., order]
-        normal: np.ndarray | None = turn(example.normal[window]) @ _random_rotation(rng)
+        albedo: np.ndarray | None = turn(example.albedo[window])[..., order].astype(np.float32)
+        normal: np.ndarray | None = turn(example.normal[window]).astype(np.float32)
+        normal = normal @ _random_rotation(rng)
         depth: np.ndarray | None = turn(example.depth[window])
         if rng.random() < recipe.drop_feature:
             # no albedo: what is filtered is radiance
-            divisor = turn(example.divisor[window])[..., order]
+            divisor = turn(example.divisor[window])[..., order].astype(np.float32)
             mean[..., :3] *= divisor
             sample[..., :3] *= divisor
             modulator, albedo = np.ones_like(divisor), None
@@ -213,6 +307,8 @@ class PatchSampler:
             normal = None
         if rng.random() < recipe.drop_feature:
             depth = None
+        # whoever does not say how many samples a frame has is taken to have one
+        spp = example.spp if rng.random() < _SAMPLES_KNOWN else 1.0
         stops = rng.uniform(-recipe.exposure_stops, recipe.exposure_stops)
         exposure = float(example.exposure * 2**stops)
         light = encode.tone_map(encode.luminance(mean), exposure)
@@ -228,6 +324,7 @@ class PatchSampler:
             normal=normal,
             depth=depth,
             depth_unit=example.depth_unit,
+            frame_samples=spp,
             out=features,
         )
         encode.previous_planes(previous, modulator, exposure, spec.network.features, out=features)

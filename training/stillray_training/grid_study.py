@@ -23,6 +23,7 @@ from stillray.cli import program
 from stillray.compare import metrics
 from stillray.families import bilateral_grid as grid
 from stillray.families import box_filter as kernels
+from stillray.families.contract import Engine
 from stillray.io.exr.read_write import atomic_path, read_exr
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import BilateralGrids, FusedKernels
@@ -50,28 +51,28 @@ Change = Callable[[np.ndarray, np.ndarray], np.ndarray]  # features and maps to 
 
 
 class Changed:
-    """A network whose maps are replaced on their way to the grids.
+    """An engine whose maps are replaced on their way to the grids.
 
     Parameters
     ----------
-    network
+    engine
         As `stillray.Denoiser` runs it.
     change
         From features ``(planes, h, w)`` and maps ``(2 m - 1, h, w)`` to maps.
     """
 
-    def __init__(self, network: object, change: Change) -> None:
-        self._network = network
+    def __init__(self, engine: Engine, change: Change) -> None:
+        self._engine = engine
         self._change = change
 
-    def run(self, features_nchw: np.ndarray) -> list[np.ndarray]:
+    def run(self, graph: str, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """The replaced outputs."""
-        (maps,) = self._network.run(features_nchw)  # type: ignore[attr-defined]
-        return [self._change(features_nchw[0], maps)]
+        ((name, maps),) = self._engine.run(graph, inputs).items()
+        return {name: self._change(inputs["features"][0], maps)}
 
     def close(self) -> None:
-        """Close the network."""
-        self._network.close()  # type: ignore[attr-defined]
+        """Close the engine."""
+        self._engine.close()
 
 
 def changes(spec: ModelSpec) -> dict[str, Change]:
@@ -112,15 +113,15 @@ def ablations(model: str, folder: Path) -> dict[str, dict[str, float]]:
     """Mean scores of each change over the last frames of the scenes of a folder."""
     spec = find_model(model).spec
     rows: dict[str, list[dict[str, float]]] = {}
-    for scene in find_scenes(folder):
-        paths, references = last_referenced(scene)
-        frames = [read_exr(path) for path in paths]
-        for name, change in changes(spec).items():
-            with Denoiser(model) as denoiser:
-                denoiser._network = Changed(denoiser._network, change)  # type: ignore[assignment]
-                images = [denoiser.denoise(frame) for frame in frames]
-            scores = metrics.evaluate(images[-1:], references[-1:])
-            rows.setdefault(name, []).append(scores)
+    with Denoiser(model) as plain:
+        for scene in find_scenes(folder):
+            paths, references = last_referenced(scene)
+            frames = [read_exr(path) for path in paths]
+            for name, change in changes(spec).items():
+                with Denoiser(plain.model, engine=Changed(plain.engine, change)) as denoiser:
+                    images = [denoiser.denoise(frame) for frame in frames]
+                scores = metrics.evaluate(images[-1:], references[-1:])
+                rows.setdefault(name, []).append(scores)
     return {
         name: {metric: float(np.mean([row[metric] for row in scores])) for metric in _SHOWN}
         for name, scores in rows.items()

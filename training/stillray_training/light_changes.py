@@ -15,7 +15,8 @@ from stillray.arrays.strips import Strips
 from stillray.cli import program
 from stillray.io.exr.read_write import read_exr
 from stillray.model_spec import load
-from stillray.stages.prepare import History, prepare
+from stillray.stages.prepare import prepare
+from stillray.stages.state import History
 
 
 def main(
@@ -29,11 +30,11 @@ def main(
     for sequence in track(sequences, description="sequences", transient=True):
         history: History | None = None
         for path in sorted(sequence.glob("frame_*.exr")):
-            prepared = prepare(read_exr(path), spec, history, strips, {})
+            prepared = prepare(read_exr(path), spec, history, strips)
             history = prepared.history
             total += 1
-            if prepared.worth is not None:
-                lost.append((f"{sequence.name}/{path.name}", 1 - float(prepared.worth.mean())))
+            if (kept := prepared.history_confidence) is not None:
+                lost.append((f"{sequence.name}/{path.name}", 1 - float(kept.mean())))
     print(f"{len(lost)} of {total} frames lost some of their past")
     for name, share in lost:
         print(f"{name}: {100 * share:.2f} %")

@@ -17,8 +17,13 @@ _C1, _C2 = 0.01**2, 0.03**2  # Wang et al. 2004: keep its ratios finite in even 
 _CLOSE = 0.05  # of the display's range
 
 
+def per_patch(values: Tensor) -> Tensor:
+    """The mean of each patch, ``(n,)``."""
+    return values.flatten(1).mean(1)
+
+
 def smape(image: Tensor, reference: Tensor, epsilon: float) -> Tensor:
-    """Symmetric mean absolute percentage error, in [0, 1] (Fan et al. 2021, eq. 6).
+    """Symmetric mean absolute percentage error of each patch, in [0, 1] (Fan et al. 2021, eq. 6).
 
     Parameters
     ----------
@@ -28,7 +33,7 @@ def smape(image: Tensor, reference: Tensor, epsilon: float) -> Tensor:
         Radiance below which differences count less.
     """
     # per pixel first, then the mean: half-precision references do not overflow the sum
-    return ((image - reference).abs() / (image.abs() + reference.abs() + epsilon)).mean()
+    return per_patch((image - reference).abs() / (image.abs() + reference.abs() + epsilon))
 
 
 def displayed(exposed: Tensor) -> Tensor:
@@ -37,7 +42,7 @@ def displayed(exposed: Tensor) -> Tensor:
 
 
 def dissimilarity(shown: Tensor, wanted: Tensor) -> Tensor:
-    """One minus the structural similarity.
+    """One minus the structural similarity, of each patch.
 
     differs: Wang et al. 2004 weigh a window by a Gaussian of 11 pixels; here it is a plain mean of
     7, as `skimage.metrics.structural_similarity` takes it, of the channels' mean alone, and windows
@@ -54,11 +59,34 @@ def dissimilarity(shown: Tensor, wanted: Tensor) -> Tensor:
     both = mean_a * mean_b
     squares = mean_a * mean_a + mean_b * mean_b
     likeness = (2 * both + _C1) * (2 * (ab - both) + _C2)
-    return (1 - likeness / ((squares + _C1) * (aa + bb - squares + _C2))).mean()
+    return per_patch(1 - likeness / ((squares + _C1) * (aa + bb - squares + _C2)))
+
+
+def slope_error(error: Tensor) -> Tensor:
+    """Mean absolute slope of what is wrong, of each patch, after a blur of one pixel.
+
+    Stippled silhouettes and lost relief are errors of slopes, which differences of pixels hardly
+    count; the blur keeps the noise of single pixels from counting here too.
+
+    Parameters
+    ----------
+    error : (n, 3, h, w)
+        Difference of two pictures, `displayed`.
+    """
+    smooth = F.avg_pool2d(error, 2, stride=1)
+    across = (smooth[..., 1:] - smooth[..., :-1]).abs()
+    down = (smooth[..., 1:, :] - smooth[..., :-1, :]).abs()
+    return per_patch(across) + per_patch(down)
+
+
+def blur_error(error: Tensor) -> Tensor:
+    """Mean absolute means of 4x4 and 16x16 pixels of what is wrong, of each patch: mottling."""
+    fine = F.avg_pool2d(error, 4)
+    return per_patch(fine.abs()) + per_patch(F.avg_pool2d(fine, 4).abs())
 
 
 def unsteadiness(shown: Tensor, wanted: Tensor, before: Tensor, valid: Tensor) -> Tensor:
-    """Mean change where the previous output was as good as right.
+    """Mean change of each patch where the previous output was as good as right.
 
     A previous output further than `_CLOSE` from the reference pulls ever less: the light moved.
 
@@ -70,4 +98,4 @@ def unsteadiness(shown: Tensor, wanted: Tensor, before: Tensor, valid: Tensor) -
         How much of the previous output lay in the frame.
     """
     close = valid * (-(before - wanted).abs() / _CLOSE).exp()
-    return (close * (shown - before).abs()).mean()
+    return per_patch(close * (shown - before).abs())

@@ -15,6 +15,8 @@ from typing import Any
 from stillray.errors import InputError
 from stillray.model_spec import ModelSpec
 
+ASSETS = "assets.json"  # in a run's folder: who made the objects in its sequences
+_FREE = ("CC0", "CC BY", "CC-BY")  # licences whose objects may train a model that ships begin so
 _LOSS_ROWS = 10  # rows of the log whose mean is the last loss
 
 
@@ -36,13 +38,40 @@ def credits_of(scenes: set[str]) -> dict[str, str]:
     return {name: f"{known[name]['credit']}, {known[name]['licence']}" for name in sorted(scenes)}
 
 
+def assets_of(sequences: list[Path]) -> dict[str, str]:
+    """Credit line of each asset that stands in the sequences, as their ``sequence.json`` say.
+
+    Raises
+    ------
+    InputError
+        An asset's licence does not allow a shipped model.
+    """
+    found = {}
+    for sequence in sequences:
+        record = sequence / "sequence.json"
+        if not record.is_file():
+            continue
+        for asset in json.loads(record.read_text(encoding="utf-8")).get("assets", ()):
+            line = '"{title}" by {author} ({source}), {licence}'.format(**asset)
+            found[asset["name"]] = (asset["licence"], line)
+    if bound := sorted(name for name, (licence, _) in found.items() if not _may_ship(licence)):
+        raise InputError(
+            f"assets of a model that ships must be under CC0 or CC BY, got {', '.join(bound)}"
+        )
+    return {name: line for name, (_, line) in sorted(found.items())}
+
+
+def _may_ship(licence: str) -> bool:
+    return licence.startswith(_FREE) and not any(word in licence for word in ("NC", "ND", "SA"))
+
+
 def collect(run: Path, spec: ModelSpec, steps: int) -> dict[str, Any]:
     """What a training run's folder tells about the model made in it.
 
     Parameters
     ----------
     run
-        Holds ``data.json``, ``log.csv`` and perhaps ``started_from.json``, as
+        Holds ``data.json``, ``log.csv`` and perhaps ``assets.json`` and ``started_from.json``, as
         `stillray_training.train` writes them.
     spec
         The model's specification.
@@ -55,10 +84,12 @@ def collect(run: Path, spec: ModelSpec, steps: int) -> dict[str, Any]:
         losses = [float(row["loss"]) for row in csv.DictReader(file)][-_LOSS_ROWS:]
     started = run / "started_from.json"
     origin = {"started_from": json.loads(started.read_text())} if started.is_file() else {}
+    assets = run / ASSETS
+    objects = json.loads(assets.read_text()) if assets.is_file() else {}
     return {
         **origin,
         "data": dict(sorted(scenes.items())),
-        "credits": credits_of(set(scenes)),
+        "credits": {**credits_of(set(scenes)), **objects},
         "steps": steps,
         "seed": spec.training.seed,
         "date": datetime.now(UTC).date().isoformat(),

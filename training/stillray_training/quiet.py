@@ -40,7 +40,13 @@ def quiet_frame(frame: Frame, reference: np.ndarray, rng: np.random.Generator) -
     """
     noise = np.float32(rng.choice(_NOISE))
     color = reference + noise * (np.nan_to_num(frame.color) - reference)
-    height, width = frame.shape
+    color = add_fireflies(color, reference, rng)
+    return replace(frame, color=color.astype(np.float32), motion=None)
+
+
+def add_fireflies(color: np.ndarray, reference: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A picture ``(h, w, 3)`` with fireflies: single pixels and clusters, colored or white."""
+    height, width = color.shape[:2]
     usual = float(np.median(reference.mean(axis=-1))) or 1.0
     # clusters keep their shape where they meet the border
     mask = np.zeros((height, width, 3), np.float32)
@@ -52,5 +58,4 @@ def quiet_frame(frame: Frame, reference: np.ndarray, rng: np.random.Generator) -
         corner = int(rng.integers(width)), int(rng.integers(height))
         end = corner[0] + size - 1, corner[1] + size - 1
         cv2.rectangle(mask, corner, end, light.tolist(), cv2.FILLED)
-    color = np.where(mask > 0, mask, color)
-    return replace(frame, color=color.astype(np.float32), motion=None)
+    return np.where(mask > 0, mask, color)

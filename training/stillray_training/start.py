@@ -79,10 +79,13 @@ def _of_checkpoint(path: Path) -> Start:
     earlier = path.parent / STARTED_FROM
     if earlier.is_file():
         origin["started_from"] = json.loads(earlier.read_text())
+    tensors = load_file(path)
+    # their mean over steps, where it was kept
+    prefix = "average." if any(name.startswith("average.") for name in tensors) else "network."
     weights = {
-        name.removeprefix("network."): value
-        for name, value in load_file(path).items()
-        if name.startswith("network.")
+        name.removeprefix(prefix): value
+        for name, value in tensors.items()
+        if name.startswith(prefix)
     }
     return Start(tuple(before["network"]["features"]), weights, origin)
 

@@ -6,6 +6,7 @@ weights and Adam's moments, ``log.csv`` the losses.
 
 from __future__ import annotations
 
+import copy
 import csv
 import dataclasses
 import json
@@ -22,6 +23,7 @@ import typer
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
+from torch.utils._pytree import tree_map
 
 from stillray.arrays.strips import Strips
 from stillray.cli import program
@@ -29,7 +31,7 @@ from stillray.errors import InputError
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec, load
 from stillray_training.dataset import (
-    STARTS,
+    NOISY,
     Batch,
     Example,
     PatchSampler,
@@ -38,13 +40,24 @@ from stillray_training.dataset import (
     previous_outputs,
 )
 from stillray_training.families import FAMILIES, Family
-from stillray_training.losses import displayed, dissimilarity, smape, unsteadiness
+from stillray_training.losses import (
+    blur_error,
+    displayed,
+    dissimilarity,
+    per_patch,
+    slope_error,
+    smape,
+    unsteadiness,
+)
+from stillray_training.provenance import ASSETS, assets_of
 from stillray_training.start import STARTED_FROM, start_from
 
 CHECKPOINT = "checkpoint.safetensors"
 LOG = "log.csv"
 PREVIOUS = "previous.onnx"  # the model whose outputs are the previous ones of a recurrence
 _LOG_EVERY = 20  # steps
+_USUAL_ERROR = 0.25  # mean error as displayed of a patch of one sample a pixel
+_QUIETEST = 0.01  # and what is added to it, so that a patch without noise does not count alone
 
 
 def reconstruct_loss(
@@ -57,28 +70,35 @@ def reconstruct_loss(
         for field in dataclasses.fields(batch)
     }
     # channels last: the processor's convolutions of 16 channels run a third faster
-    outputs = network(take["features"].contiguous(memory_format=torch.channels_last))
+    features = take["features"].contiguous(memory_format=torch.channels_last)
+    with torch.autocast("cpu", torch.bfloat16, enabled=spec.training.bfloat16):
+        outputs = network(features)
+    outputs = tree_map(Tensor.float, outputs)
     image = family.radiance(outputs, take, spec) * take["exposure"]
     reference = take["reference"] * take["exposure"]
     recipe = spec.training
+    shown, wanted = displayed(image), displayed(reference)
+    error = shown - wanted
     loss = smape(image, reference, recipe.smape_epsilon)
-    if (
-        recipe.display_weight
-        or recipe.squared_weight
-        or recipe.structure_weight
-        or recipe.steady_weight
-    ):
-        shown, wanted = displayed(image), displayed(reference)
-        error = shown - wanted
-        loss = loss + recipe.display_weight * error.abs().mean()
-        loss = loss + recipe.squared_weight * error.square().mean()
-        if recipe.structure_weight:
-            loss = loss + recipe.structure_weight * dissimilarity(shown, wanted)
-        if recipe.steady_weight:
-            before = displayed(take["previous"] * take["exposure"])
-            change = unsteadiness(shown, wanted, before, take["valid"])
-            loss = loss + recipe.steady_weight * change
-    return loss
+    loss = loss + recipe.display_weight * per_patch(error.abs())
+    loss = loss + recipe.squared_weight * per_patch(error.square())
+    if recipe.structure_weight:
+        loss = loss + recipe.structure_weight * dissimilarity(shown, wanted)
+    if recipe.slope_weight:
+        loss = loss + recipe.slope_weight * slope_error(error)
+    if recipe.blur_weight:
+        loss = loss + recipe.blur_weight * blur_error(error)
+    if recipe.steady_weight:
+        before = displayed(take["previous"] * take["exposure"])
+        change = unsteadiness(shown, wanted, before, take["valid"])
+        loss = loss + recipe.steady_weight * change
+    if recipe.hinge_weight or recipe.quiet_power:
+        given = displayed(take["irradiance"] * take["divisor"] * take["exposure"])
+        before = per_patch((given - wanted).abs())
+        loss = loss + recipe.hinge_weight * (per_patch(error.abs()) - before).relu()
+        # 1 for the noise of one sample a pixel
+        loss = loss * ((before + _QUIETEST) / _USUAL_ERROR) ** -recipe.quiet_power
+    return loss.mean()
 
 
 def learning_rate(step: int, spec: ModelSpec) -> float:
@@ -133,10 +153,12 @@ def train(
     torch.manual_seed(spec.training.seed)
     network = family.network(spec)
     optimiser = torch.optim.Adam(network.parameters(), lr=spec.training.learning_rate)
-    step = _restore(out / CHECKPOINT, spec, network, optimiser)
+    average = copy.deepcopy(network) if spec.training.average else network
+    step = _restore(out / CHECKPOINT, spec, network, optimiser, average)
     if start is not None and step == 0:
         origin = start_from(start, network, spec)
         (out / STARTED_FROM).write_text(json.dumps(origin, indent=1))
+        average.load_state_dict(network.state_dict())
     with Progress(
         *Progress.get_default_columns()[:3],
         MofNCompleteColumn(),
@@ -147,6 +169,7 @@ def train(
         examples = list(examples) or load_all(data, spec, progress)
         _forget_after(out / LOG, step)
         (out / "data.json").write_text(json.dumps([path.name for path in sequences], indent=1))
+        (out / ASSETS).write_text(json.dumps(assets_of(list(sequences)), indent=1))
         recipe = spec.training
         resumed = recipe.history_from and step > recipe.history_from
         if resumed and (step - recipe.history_from) % recipe.history_every:
@@ -158,7 +181,7 @@ def train(
         while step < spec.training.steps:
             since = step - recipe.history_from
             if recipe.history_from and since >= 0 and since % recipe.history_every == 0:
-                _export_for_recall(network, spec, out / PREVIOUS)
+                _export_for_recall(average, spec, out / PREVIOUS)
                 _recall(examples, sequences, out / PREVIOUS, progress)
             for group in optimiser.param_groups:
                 group["lr"] = learning_rate(step, spec)
@@ -166,6 +189,8 @@ def train(
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
+            if average is not network:
+                _follow(average, network, min(spec.training.average, step / (step + 10)))
             losses.append(loss.item())
             step += 1
             progress.advance(task)
@@ -173,8 +198,15 @@ def train(
                 _log(out / LOG, step, float(np.mean(losses)), time.monotonic() - began)
                 losses = []
             if step % save_every == 0 or step == spec.training.steps:
-                _save(out / CHECKPOINT, spec, network, optimiser, step)
-    return network
+                _save(out / CHECKPOINT, spec, network, optimiser, average, step)
+    return average
+
+
+def _follow(average: nn.Module, network: nn.Module, decay: float) -> None:
+    """A step of a running mean of weights."""
+    with torch.no_grad():
+        for mean, weight in zip(average.parameters(), network.parameters(), strict=True):
+            mean.lerp_(weight, 1 - decay)
 
 
 def load_all(data: list[Path], spec: ModelSpec, progress: Progress) -> list[Example]:
@@ -220,9 +252,14 @@ def _recall(
     recurrence costs nothing a step, and is as long as the sequence.
     """
     task = progress.add_task("recall", total=len(sequences))
-    for index, sequence in enumerate(sequences):
-        for place, previous in enumerate(previous_outputs(sequence, model, Strips(1))):
-            at = index * (len(STARTS) + 1) + place  # the quiet one has no past
+    places = {
+        (example.sequence, example.frames): index
+        for index, example in enumerate(examples)
+        if example.kind == NOISY
+    }
+    for sequence in sequences:
+        for frames, previous in previous_outputs(sequence, model, Strips(1)).items():
+            at = places[sequence.name, frames]
             examples[at] = dataclasses.replace(examples[at], previous=previous)
         progress.advance(task)
     progress.remove_task(task)
@@ -231,9 +268,9 @@ def _recall(
 def load_network(
     spec: ModelSpec, checkpoint: Path, family: Family | None = None
 ) -> tuple[nn.Module, int]:
-    """A network with a checkpoint's weights, and the steps it was trained for."""
+    """A network with a checkpoint's weights (their mean over steps), and the steps trained."""
     network = (family or FAMILIES[spec.family]).network(spec)
-    step = _restore(checkpoint, spec, network, None)
+    step = _restore(checkpoint, spec, network, None, network)
     if step == 0:
         raise InputError(f"{checkpoint}: no such checkpoint")
     return network, step
@@ -258,9 +295,17 @@ def _forget_after(path: Path, step: int) -> None:
 
 
 def _save(
-    path: Path, spec: ModelSpec, network: torch.nn.Module, optimiser: torch.optim.Adam, step: int
+    path: Path,
+    spec: ModelSpec,
+    network: nn.Module,
+    optimiser: torch.optim.Adam,
+    average: nn.Module,
+    step: int,
 ) -> None:
     tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
+    if average is not network:
+        means = average.state_dict().items()
+        tensors.update({f"average.{name}": value for name, value in means})
     for index, moments in optimiser.state_dict()["state"].items():
         for name, value in moments.items():
             tensors[f"adam.{index}.{name}"] = torch.as_tensor(value)
@@ -269,7 +314,11 @@ def _save(
 
 
 def _restore(
-    path: Path, spec: ModelSpec, network: torch.nn.Module, optimiser: torch.optim.Adam | None
+    path: Path,
+    spec: ModelSpec,
+    network: nn.Module,
+    optimiser: torch.optim.Adam | None,
+    average: nn.Module,
 ) -> int:
     if not path.is_file():
         return 0
@@ -280,15 +329,18 @@ def _restore(
     if json.loads(metadata["spec"])["network"] != json.loads(spec.to_json())["network"]:
         raise InputError(f"{path}: the checkpoint must be of {spec.name} as it is specified now")
     tensors = load_file(path)
-    network.load_state_dict(
-        {name[8:]: value for name, value in tensors.items() if name.startswith("network.")}
-    )
+
+    def weights(prefix: str) -> dict[str, Tensor]:
+        found = {name: value for name, value in tensors.items() if name.startswith(prefix)}
+        return {name.removeprefix(prefix): value for name, value in found.items()}
+
+    network.load_state_dict(weights("network."))
+    average.load_state_dict(weights("average.") or weights("network."))
     if optimiser is not None:
         state: dict[int, dict[str, Any]] = {}
-        for name, value in tensors.items():
-            if name.startswith("adam."):
-                _, index, key = name.split(".")
-                state.setdefault(int(index), {})[key] = value
+        for name, value in weights("adam.").items():
+            index, key = name.split(".")
+            state.setdefault(int(index), {})[key] = value
         optimiser.load_state_dict(
             {"state": state, "param_groups": optimiser.state_dict()["param_groups"]}
         )

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from stillray.batch.file_layout import Layout
     from stillray.batch.shot import Job, Step
     from stillray.model_spec.loader import ModelSpec
-    from stillray.pipeline.plan import Stage
+    from stillray.stages.plan import Stage
 
 
 def collect(
@@ -33,7 +33,7 @@ def collect(
     temporal
         Whether frames are accumulated.
     """
-    from stillray.pipeline.plan import plan
+    from stillray.pipeline.plan import plan_frames
 
     planned = {id(step.job): step for step in steps}
     facts: dict[str, Any] = {
@@ -47,12 +47,14 @@ def collect(
         return facts
     facts["layers"] = _layers(steps[0].job, layout)
     first, _ = layout.read(steps[0].job.source, steps[0].job.companions, None)
-    facts["stages_first"] = _stages(plan(first, spec, has_history=False, temporal=temporal))
+    facts["stages_first"] = _stages(plan_frames([first], spec, temporal=temporal)[-1].stages)
     following = next((step for step in steps if not step.starts_anew), None)
     if following is not None:
         before = steps[steps.index(following) - 1].job.source
         frame, _ = layout.read(following.job.source, following.job.companions, before)
-        facts["stages_following"] = _stages(plan(frame, spec, has_history=True, temporal=temporal))
+        # what a frame leaves to the next depends on its buffers, not on their values
+        plans = plan_frames([first, frame], spec, temporal=temporal)
+        facts["stages_following"] = _stages(plans[-1].stages)
     return facts
 
 

@@ -10,12 +10,13 @@ import numpy as np
 from stillray.io.exr.read_write import atomic_path
 
 MAX_EXPOSURE = 8.0
+DISPLAY_MEDIAN = 0.2  # where the median of a picture is shown; 1 is white
 
 
 def display_exposure(reference: np.ndarray) -> float:
     """``min(8, 0.2 / median of the reference's mean radiance)``."""
     median = float(np.median(reference.mean(axis=-1)))
-    return min(MAX_EXPOSURE, 0.2 / median) if median > 0 else MAX_EXPOSURE
+    return min(MAX_EXPOSURE, DISPLAY_MEDIAN / median) if median > 0 else MAX_EXPOSURE
 
 
 def tone_map(radiance: np.ndarray, exposure: float) -> np.ndarray:

@@ -26,8 +26,9 @@ import numpy as np
 
 from stillray.arrays.strips import Strips, strips_of
 from stillray.arrays.workspace import Scratch
+from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.model_spec.loader import BilateralGrids, ModelSpec
-from stillray.stages.prepare import Prepared
+from stillray.stages.state import Filterable
 from stillray.timing import timed
 
 #: Values of a guide, of which the paper has as many as an 8-bit image.
@@ -48,40 +49,50 @@ def grid_cells(
     return (height - 1) // spacing + 2, (width - 1) // spacing + 2, depth
 
 
-def reach(spec: ModelSpec) -> int:
-    """Pixels from which light can come to a pixel, to each side: two that share a cell."""
-    assert isinstance(spec.decoder, BilateralGrids)
-    return 2 * (_unit(spec.decoder) - 1)
+class BilateralGridModel(TemporalKernels):
+    """A model of the family ``bilateral-grids``."""
+
+    def __init__(self, spec: ModelSpec) -> None:
+        assert isinstance(spec.decoder, BilateralGrids)
+        self._options, count = spec.decoder, spec.decoder.grids
+        self.method = "a bilateral grid" if count == 1 else f"{count} bilateral grids"
+        self.cost = _cost(spec.decoder)
+        # two pixels that share a cell; the depth of cells is that of the whole frame
+        looks = Looks(reach=2 * (_unit(spec.decoder) - 1), receptive_field=None)
+        super().__init__(spec, looks)
+
+    def reconstruct(
+        self,
+        light: Filterable,
+        outputs: Sequence[np.ndarray],
+        strips: Strips,
+        timings: dict[str, float],
+    ) -> np.ndarray:
+        """Filter and remodulate, see `TemporalKernels`."""
+        (maps,) = outputs
+        with timed(timings, "reconstruct"):
+            image = filter_grids(light.mean, maps, self._options, strips)
+        if (by := light.modulator) is not None:
+
+            def modulate(rows: slice) -> None:
+                image[rows] *= by[rows]
+
+            with timed(timings, "modulate"):
+                strips.run(modulate, *image.shape[:2])
+        return image
 
 
-def method(spec: ModelSpec) -> str:
-    """What the reconstruction does, in a few words."""
-    assert isinstance(spec.decoder, BilateralGrids)
-    count = spec.decoder.grids
-    return "a bilateral grid" if count == 1 else f"{count} bilateral grids"
-
-
-def reconstruct(
-    prepared: Prepared,
-    previous: np.ndarray | None,
-    outputs: Sequence[np.ndarray],
-    spec: ModelSpec,
-    strips: Strips,
-    timings: dict[str, float],
-) -> np.ndarray:
-    """Filter and re-modulate a frame, see `stillray.families.registry.Family`."""
-    assert isinstance(spec.decoder, BilateralGrids)
-    (maps,) = outputs
-    with timed(timings, "reconstruct"):
-        image = filter_grids(prepared.history.mean, maps, spec.decoder, strips)
-    if (by := prepared.modulator) is not None:
-
-        def modulate(rows: slice) -> None:
-            image[rows] *= by[rows]
-
-        with timed(timings, "modulate"):
-            strips.run(modulate, *image.shape[:2])
-    return image
+def _cost(options: BilateralGrids) -> tuple[float, float]:
+    """Operations and planes moved, a pixel."""
+    operations, planes = 3.0, 4.0 + 3.0  # modulated; light and image
+    for scale in range(options.grids):
+        spacing = options.spacing << scale
+        cells = grid_cells(1, 1, options, scale)[2] / spacing  # of a slab, a pixel
+        corners = 2 * (2 - 1 / spacing)  # those beside a pixel in its row's slab, one depth or two
+        # splatted, added up; interpolated, read; guide, two depths, share and blend of each channel
+        operations += 2 * (corners * 4 * 2) + cells * 4 * (4 + 3) + 10 + 4 * 8
+        planes += 2 * (1 + 4 + 4 * cells) + 1
+    return operations, planes
 
 
 def filter_grids(

@@ -1,4 +1,4 @@
-"""Reconstruction with fused weight-sharing kernels (Fan et al. 2021, section 4.2).
+"""Fused weight-sharing kernels as box filters (Fan et al. 2021, section 4.2).
 
 Kernels are never built. Their softmax over a shared importance map (eq. 3, 4) is a ratio of two
 box sums, ``sum(exp(I) r) / sum(exp(I))``, and a box sum is separable.
@@ -6,77 +6,15 @@ box sums, ``sum(exp(I) r) / sum(exp(I))``, and a box sum is separable.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 
 import cv2
 import numpy as np
 
-from stillray.arrays.strips import Strips, interleave, planes_of, with_halo
+from stillray.arrays.strips import interleave, planes_of, with_halo
 from stillray.arrays.workspace import Scratch
 from stillray.families.depth_to_space import Blocks
-from stillray.model_spec.loader import FusedKernels, ImportanceNetwork, ModelSpec
-from stillray.stages.prepare import Prepared
-from stillray.timing import timed_pass
-
-
-def reconstruct(
-    prepared: Prepared,
-    previous: np.ndarray | None,
-    outputs: Sequence[np.ndarray],
-    spec: ModelSpec,
-    strips: Strips,
-    timings: dict[str, float],
-) -> np.ndarray:
-    """Filter and re-modulate a frame, see `stillray.families.registry.Family`."""
-    options = spec.decoder
-    assert isinstance(options, FusedKernels)
-    assert isinstance(spec.network, ImportanceNetwork)
-    (logits,) = outputs
-    blocks = Blocks(logits, strips) if spec.network.block > 1 else None
-    mean, by = prepared.history.mean, prepared.modulator
-    height, width = mean.shape[:2]
-    image = np.empty((height, width, 3), np.float32)
-    halo = reach(spec)
-    with timed_pass(timings) as part:
-
-        def work(rows: slice) -> None:
-            near, own = with_halo(rows, halo, height)
-            with part("reconstruct"):
-                given = logits[:, near] if blocks is None else blocks.near(near, width)
-                filter_rows(mean[near], given, own, options, image[rows], strips.scratch)
-            if by is not None:
-                with part("modulate"):
-                    image[rows] *= by[rows]
-
-        strips.run(work, height, width)
-    return image
-
-
-def reach(spec: ModelSpec) -> int:
-    """Pixels that the largest kernel looks to each side."""
-    assert isinstance(spec.decoder, FusedKernels)
-    return max(spec.decoder.kernel_sizes) // 2
-
-
-def multiple(spec: ModelSpec) -> int:
-    """Height and width of the network's input must be multiples of this, pixels."""
-    assert isinstance(spec.network, ImportanceNetwork)
-    return spec.network.block
-
-
-def receptive_field(spec: ModelSpec) -> int:
-    """Pixels that one output of the network looks to each side."""
-    network = spec.network
-    assert isinstance(network, ImportanceNetwork)
-    # and a pixel lies anywhere in its block
-    return network.block * sum(size // 2 for size in network.kernel_sizes) + network.block - 1
-
-
-def method(spec: ModelSpec) -> str:
-    """What the reconstruction does, in a few words."""
-    assert isinstance(spec.decoder, FusedKernels)
-    return f"{len(spec.decoder.kernel_sizes)} fused kernels"
+from stillray.model_spec.loader import FusedKernels
 
 
 def filter_rows(

@@ -19,34 +19,23 @@ from stillray.arrays.resample import halve
 from stillray.arrays.strips import Strips, interleave, planes_of, with_halo
 from stillray.arrays.workspace import Scratch
 from stillray.families.box_filter import bounded_exp, box_means
+from stillray.families.cost import kernel_pyramid_cost
 from stillray.families.depth_to_space import Blocks
 from stillray.families.pyramid_logits import NEIGHBOURS, LevelLayout, level_layout
 from stillray.families.pyramid_upsample import Doubled
+from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.model_spec.loader import ModelSpec, PyramidKernels, PyramidNetwork
-from stillray.stages.prepare import Prepared
+from stillray.stages.state import Filterable
 from stillray.timing import timed
 
 
-def multiple(spec: ModelSpec) -> int:
+def alignment(network: PyramidNetwork) -> int:
     """Height and width of the network's input must be multiples of this, pixels."""
-    assert isinstance(spec.network, PyramidNetwork)
-    return 1 << (spec.network.resolutions - 1)
+    return 1 << (network.resolutions - 1)
 
 
-def reach(spec: ModelSpec) -> int:
-    """Pixels from which light can come to a pixel, to each side."""
-    assert isinstance(spec.decoder, PyramidKernels)
-    coarsest = multiple(spec)
-    # doubling looks into the neighbouring cell: 1.5 cells of every level above the finest,
-    # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, and the resolve
-    radius = max(max(spec.decoder.kernel_sizes) // 2, int(spec.decoder.predicted))
-    return 3 * (coarsest - 1) + radius * coarsest + 1
-
-
-def receptive_field(spec: ModelSpec) -> int:
+def receptive_field(network: PyramidNetwork) -> int:
     """Pixels that one output of the network looks to each side."""
-    network = spec.network
-    assert isinstance(network, PyramidNetwork)
     radius = network.kernel_size // 2
     coarsest = len(network.widths) - 1
     # the longest way goes through the coarsest level: every convolution counts in its own pixels
@@ -58,58 +47,53 @@ def receptive_field(spec: ModelSpec) -> int:
     return network.block * way + network.block - 1
 
 
-def method(spec: ModelSpec) -> str:
-    """What the reconstruction does, in a few words."""
-    assert isinstance(spec.network, PyramidNetwork)
-    return f"kernels at {spec.network.resolutions} resolutions, resolved with the last output"
+class KernelPyramidModel(TemporalKernels):
+    """A model of the family ``kernel-pyramid``."""
 
-
-def reconstruct(
-    prepared: Prepared,
-    previous: np.ndarray | None,
-    outputs: Sequence[np.ndarray],
-    spec: ModelSpec,
-    strips: Strips,
-    timings: dict[str, float],
-) -> np.ndarray:
-    """Filter, re-modulate and resolve a frame, see `stillray.families.registry.Family`."""
-    assert isinstance(spec.decoder, PyramidKernels)
-    with timed(timings, "reconstruct"):
-        return filter_pyramid(
-            prepared.history.mean,
-            prepared.sample,
-            prepared.modulator,
-            previous,
-            outputs,
-            spec.decoder,
-            strips,
+    def __init__(self, spec: ModelSpec) -> None:
+        assert isinstance(spec.decoder, PyramidKernels)
+        assert isinstance(spec.network, PyramidNetwork)
+        self._options, coarsest = spec.decoder, alignment(spec.network)
+        levels = spec.network.resolutions
+        self.method = f"kernels at {levels} resolutions, resolved with the last output"
+        self.cost = kernel_pyramid_cost(levels, spec.decoder)
+        # doubling looks into the neighbouring cell: 1.5 cells of every level above the finest,
+        # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, and the resolve
+        radius = max(max(spec.decoder.kernel_sizes) // 2, int(spec.decoder.predicted))
+        looks = Looks(
+            reach=3 * (coarsest - 1) + radius * coarsest + 1,
+            receptive_field=receptive_field(spec.network),
+            alignment=coarsest,
+            sample=True,
+            previous_output=True,
+            sharp=spec.decoder.sharp_recall,
         )
+        super().__init__(spec, looks)
+
+    def reconstruct(
+        self,
+        light: Filterable,
+        outputs: Sequence[np.ndarray],
+        strips: Strips,
+        timings: dict[str, float],
+    ) -> np.ndarray:
+        """Filter, remodulate and resolve, see `TemporalKernels`."""
+        with timed(timings, "reconstruct"):
+            return filter_pyramid(light, outputs, self._options, strips)
 
 
 def filter_pyramid(
-    mean: np.ndarray,
-    sample: np.ndarray | None,
-    divisor: np.ndarray | None,
-    previous: np.ndarray | None,
-    logits: Sequence[np.ndarray],
-    options: PyramidKernels,
-    strips: Strips,
+    light: Filterable, logits: Sequence[np.ndarray], options: PyramidKernels, strips: Strips
 ) -> np.ndarray:
     """Filter, re-modulate and resolve a frame.
 
     Parameters
     ----------
-    mean : (h, w, 4) float32
-        Irradiance, >= 0 and finite; and the samples that each pixel holds, > 0.
-    sample : (4, h, w) float32 or None
-        This frame's irradiance and what its samples are worth, > 0; None for that of ``mean``.
-    divisor : (h, w, 3) float32 or None
-        What the result is multiplied by.
-    previous : (h, w, 4) float32 or None
-        Radiance of the previous output at these pixels, and how much of it is valid, [0, 1].
+    light
+        What is filtered: irradiance >= 0 and samples > 0.
     logits
         One ``(planes, H, W)`` map a level, finest first, of the frame's size rounded up to
-        `multiple`; any values. The frame's last row and column are repeated to that size. The
+        `alignment`; any values. The frame's last row and column are repeated to that size. The
         finest may come as `Blocks`, told by having the size of the next.
     options
         Kernel sizes and the bound of the logits.
@@ -122,24 +106,19 @@ def filter_pyramid(
         Radiance: for every pixel a convex combination of the irradiance around it, accumulated
         and new, times the divisors of its 3x3 neighbours, and of the previous output.
     """
-    image = _filtered(mean, sample, divisor, previous, logits, options, strips)
+    image = _filtered(light, logits, options, strips)
     # A logit that is not a number says nothing: 0. It shows in the image, which is a fifth of the
     # logits to look through.
     if np.isnan(image.max()) and any(np.isnan(level.max()) for level in logits):
         logits = [np.nan_to_num(level, nan=0.0) for level in logits]
-        image = _filtered(mean, sample, divisor, previous, logits, options, strips)
+        image = _filtered(light, logits, options, strips)
     return image
 
 
 def _filtered(
-    mean: np.ndarray,
-    sample: np.ndarray | None,
-    divisor: np.ndarray | None,
-    previous: np.ndarray | None,
-    logits: Sequence[np.ndarray],
-    options: PyramidKernels,
-    strips: Strips,
+    light: Filterable, logits: Sequence[np.ndarray], options: PyramidKernels, strips: Strips
 ) -> np.ndarray:
+    mean, sample, divisor, previous = light.mean, light.sample, light.modulator, light.previous
     height, width = mean.shape[:2]
     levels = len(logits)
     maps: list[np.ndarray | Blocks] = list(logits)
@@ -168,9 +147,9 @@ def _filtered(
     for level in reversed(range(1, levels)):
         layout = level_layout(level, levels, options)
         padded = (3, *(size + 2 for size in pyramid[level].shape[1:]))
-        light = strips.scratch.array(f"blended {level}", padded)
-        _blended(pyramid[level], coarser, maps[level], layout, options, strips, light)
-        coarser = Doubled(light, logits[level][layout.double], options)
+        blended = strips.scratch.array(f"blended {level}", padded)
+        _blended(pyramid[level], coarser, maps[level], layout, options, strips, blended)
+        coarser = Doubled(blended, logits[level][layout.double], options)
     image = np.empty((height, width, 3), np.float32)
 
     def finish(rows: slice) -> None:

@@ -23,9 +23,11 @@ from stillray.arrays.resample import double, halve
 from stillray.arrays.strips import Strips, interleave, planes_of, with_halo
 from stillray.arrays.workspace import Scratch
 from stillray.families.box_filter import bounded_exp, filter_planes
-from stillray.families.kernel_pyramid import multiple
+from stillray.families.cost import multi_resolution_cost
+from stillray.families.kernel_pyramid import alignment, receptive_field
+from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.model_spec.loader import FusedKernels, ModelSpec, PyramidNetwork
-from stillray.stages.prepare import Prepared
+from stillray.stages.state import Filterable
 from stillray.timing import timed, timed_pass
 
 #: How a level is filtered, as `stillray.families.box_filter.filter_planes`: mean, logits (its own
@@ -42,118 +44,121 @@ def level_planes(level: int, levels: int, options: FusedKernels) -> int:
     return 2 * len(options.kernel_sizes) + (0 if level == levels - 1 else 1)
 
 
-def reach(spec: ModelSpec) -> int:
-    """Pixels from which light can come to a pixel, to each side."""
-    assert isinstance(spec.decoder, FusedKernels)
-    coarsest = multiple(spec)
-    # from the far side of its own cell of the coarsest level to the far side of the window
-    return max(spec.decoder.kernel_sizes) // 2 * coarsest + coarsest - 1
+class MultiResolutionModel(TemporalKernels):
+    """A model of the family ``multi-resolution-kernels``."""
 
+    #: How a level is filtered, from as far as the largest of the kernel sizes reaches.
+    level_filter: LevelFilter = staticmethod(filter_planes)
 
-def method(spec: ModelSpec) -> str:
-    """What the reconstruction does, in a few words."""
-    assert isinstance(spec.network, PyramidNetwork)
-    assert isinstance(spec.decoder, FusedKernels)
-    kernels, levels = len(spec.decoder.kernel_sizes), spec.network.resolutions
-    return f"{kernels} fused kernels at each of {levels} resolutions"
+    def __init__(self, spec: ModelSpec) -> None:
+        assert isinstance(spec.decoder, FusedKernels)
+        assert isinstance(spec.network, PyramidNetwork)
+        self._options, coarsest = spec.decoder, alignment(spec.network)
+        sizes, self._levels = spec.decoder.kernel_sizes, len(spec.network.widths)
+        self.method = (
+            f"{len(sizes)} fused kernels at each of {spec.network.resolutions} resolutions"
+        )
+        self.cost = multi_resolution_cost(spec.network.resolutions, len(sizes))
+        looks = Looks(
+            # from the far side of its own cell of the coarsest level to that of the window
+            reach=max(sizes) // 2 * coarsest + coarsest - 1,
+            receptive_field=receptive_field(spec.network),
+            alignment=coarsest,
+        )
+        super().__init__(spec, looks)
 
+    def reconstruct(
+        self,
+        light: Filterable,
+        outputs: Sequence[np.ndarray],
+        strips: Strips,
+        timings: dict[str, float],
+    ) -> np.ndarray:
+        """Filter and remodulate, see `TemporalKernels`.
 
-def reconstruct(
-    prepared: Prepared,
-    previous: np.ndarray | None,
-    outputs: Sequence[np.ndarray],
-    spec: ModelSpec,
-    strips: Strips,
-    timings: dict[str, float],
-    level_filter: LevelFilter = filter_planes,
-) -> np.ndarray:
-    """Filter and re-modulate a frame, see `stillray.families.registry.Family`.
+        Parameters
+        ----------
+        light
+            What is filtered.
+        outputs
+            One ``(planes, H, W)`` map a level, finest first, see `level_planes`, of the frame's
+            size rounded up to the alignment; any values. The frame's last row and column are
+            repeated to that size. After them, perhaps, what `frozen` found.
+        strips, timings
+            As `TemporalKernels` has them.
+        """
+        image = self._reconstructed(light, outputs, strips, timings)
+        # a NaN logit says nothing: 0
+        if np.isnan(image.max()) and any(np.isnan(level.max()) for level in outputs):
+            return self._reconstructed(light, _numbers(outputs), strips, timings)
+        return image
 
-    Parameters
-    ----------
-    outputs
-        One ``(planes, H, W)`` map a level, finest first, see `level_planes`, of the frame's size
-        rounded up to `multiple`; any values. The frame's last row and column are repeated to that
-        size. After them, perhaps, what `settle` found.
-    level_filter
-        How a level is filtered, from as far as the largest of the kernel sizes reaches.
-    """
-    image = _reconstructed(prepared, outputs, spec, strips, timings, level_filter)
-    # a NaN logit says nothing: 0
-    if np.isnan(image.max()) and any(np.isnan(level.max()) for level in outputs):
-        return _reconstructed(prepared, _numbers(outputs), spec, strips, timings, level_filter)
-    return image
+    def frozen(
+        self, light: Filterable, outputs: Sequence[np.ndarray], strips: Strips
+    ) -> list[np.ndarray]:
+        """Outputs by which other layers are filtered as the frame's light was.
 
+        How far a blend goes is limited by the light that it meets. Layers add up to the color only
+        if they go as far as the color did, whatever they meet themselves.
 
-def settle(
-    prepared: Prepared, outputs: Sequence[np.ndarray], spec: ModelSpec, strips: Strips
-) -> list[np.ndarray]:
-    """Outputs by which other layers are filtered as the frame's light was.
+        Returns
+        -------
+        list of arrays
+            The outputs, then how far each level but the coarsest gave way, ``(3, H, W)``, finest
+            first.
+        """
+        options = self._options
+        outputs = _numbers(outputs)
+        means = _resolutions(light.mean, outputs, options, strips)
+        coarser = _level(means[-1], None, outputs[-1], None, options, strips)
+        found = []
+        for mean, maps in reversed(list(zip(means[:-1], outputs[:-1], strict=True))):
+            fine = _level(mean, None, maps, None, options, strips)
+            steps = np.stack([double(_step(*planes)) for planes in zip(fine, coarser, strict=True)])
+            coarser = _level(mean, coarser, maps, None, options, strips)
+            shares = np.zeros_like(fine)
+            np.divide(coarser - fine, steps, out=shares, where=steps != 0)
+            found.append(np.clip(shares, 0, 1, out=shares))
+        return [*outputs, *reversed(found)]
 
-    How far a blend goes is limited by the light that it meets. Layers add up to the beauty only
-    if they go as far as the beauty did, whatever they meet themselves.
-
-    Returns
-    -------
-    list of arrays
-        The outputs, then how far each level but the coarsest gave way, ``(3, H, W)``, finest first.
-    """
-    options = spec.decoder
-    assert isinstance(options, FusedKernels)
-    outputs = _numbers(outputs)
-    means = _resolutions(prepared.history.mean, outputs, options, strips)
-    coarser = _level(means[-1], None, outputs[-1], None, options, strips)
-    found = []
-    for mean, maps in reversed(list(zip(means[:-1], outputs[:-1], strict=True))):
-        fine = _level(mean, None, maps, None, options, strips)
-        steps = np.stack([double(_step(*planes)) for planes in zip(fine, coarser, strict=True)])
-        coarser = _level(mean, coarser, maps, None, options, strips)
-        shares = np.zeros_like(fine)
-        np.divide(coarser - fine, steps, out=shares, where=steps != 0)
-        found.append(np.clip(shares, 0, 1, out=shares))
-    return [*outputs, *reversed(found)]
-
-
-def _reconstructed(
-    prepared: Prepared,
-    outputs: Sequence[np.ndarray],
-    spec: ModelSpec,
-    strips: Strips,
-    timings: dict[str, float],
-    level_filter: LevelFilter,
-) -> np.ndarray:
-    options, network = spec.decoder, spec.network
-    assert isinstance(options, FusedKernels)
-    assert isinstance(network, PyramidNetwork)
-    levels = len(network.widths)
-    logits = outputs[:levels]
-    settled = [*outputs[levels:], None] if len(outputs) > levels else [None] * levels
-    height, width = prepared.history.mean.shape[:2]
-    image, by = np.empty((height, width, 3), np.float32), prepared.modulator
-    coarser: np.ndarray | None = None
-    with timed(timings, "reconstruct"):
-        means = _resolutions(prepared.history.mean, logits, options, strips)
-        for level in reversed(range(1, levels)):
-            coarser = _level(
-                means[level], coarser, logits[level], settled[level], options, strips, level_filter
-            )
-    with timed_pass(timings) as part:
-
-        def work(blocks: slice) -> None:
-            rows = slice(2 * blocks.start, 2 * blocks.stop)
-            inside = slice(rows.start, min(rows.stop, height))
-            with part("reconstruct"):
-                planes = _rows(
-                    means[0], coarser, logits[0], settled[0], rows, options, strips.scratch,
-                    level_filter,
+    def _reconstructed(
+        self,
+        light: Filterable,
+        outputs: Sequence[np.ndarray],
+        strips: Strips,
+        timings: dict[str, float],
+    ) -> np.ndarray:
+        options, levels = self._options, self._levels
+        logits = outputs[:levels]
+        settled = [*outputs[levels:], None] if len(outputs) > levels else [None] * levels
+        height, width = light.mean.shape[:2]
+        image, by = np.empty((height, width, 3), np.float32), light.modulator
+        coarser: np.ndarray | None = None
+        with timed(timings, "reconstruct"):
+            means = _resolutions(light.mean, logits, options, strips)
+            for level in reversed(range(1, levels)):
+                coarser = _level(
+                    means[level], coarser, logits[level], settled[level], options, strips,
+                    self.level_filter,
                 )  # fmt: skip
-                interleave(planes[:, : inside.stop - inside.start, :width], out=image[inside])
-            if by is not None:
-                with part("modulate"):
-                    image[inside] *= by[inside]
+        with timed_pass(timings) as part:
 
-        strips.run(work, -(-height // 2), 2 * means[0].shape[1])
-    return image
+            def work(blocks: slice) -> None:
+                rows = slice(2 * blocks.start, 2 * blocks.stop)
+                inside = slice(rows.start, min(rows.stop, height))
+                with part("reconstruct"):
+                    planes = _rows(
+                        means[0], coarser, logits[0], settled[0], rows, options, strips.scratch,
+                        self.level_filter,
+                    )  # fmt: skip
+                    kept = planes[:, : inside.stop - inside.start, :width]
+                    interleave(kept, out=image[inside])
+                if by is not None:
+                    with part("modulate"):
+                        image[inside] *= by[inside]
+
+            strips.run(work, -(-height // 2), 2 * means[0].shape[1])
+        return image
 
 
 def _resolutions(

@@ -233,11 +233,26 @@ class Training:
     drop_feature: float  # probability that albedo, normal or depth is withheld from a patch
     exposure_stops: float  # exposure is varied by +- this
     seed: int
+    # What follows may be left out: models that were exported before it was known lack it.
+    # weights of errors of slopes, and of means of 4x4 and 16x16 pixels, as displayed, >= 0
+    slope_weight: float = 0.0
+    blur_weight: float = 0.0
+    hinge_weight: float = 0.0  # weight of being further off than the input was, >= 0
+    # Patches weigh by their input's error as displayed to the power of minus this: with 0.5 those
+    # that begin with a hundredth of the error count ten times as much. [0, 1]
+    quiet_power: float = 0.0
+    average: float = 0.0  # decay of the mean of weights over steps, which is what is kept; 0: none
+    bfloat16: bool = False  # whether the network's convolutions run so: half the time, less exact
+    still_share: float = 0.0  # share of patches of single frames of 2 to 32 samples a pixel, [0, 1]
 
     def __post_init__(self) -> None:
-        for key in ("display_weight", "squared_weight", "structure_weight", "steady_weight"):
+        for key in (
+            "display_weight", "squared_weight", "structure_weight", "steady_weight",
+            "slope_weight", "blur_weight", "hinge_weight",
+        ):  # fmt: skip
             _within(f"training.{key}", getattr(self, key), 0, 1e3)
-        _within("training.quiet_share", self.quiet_share, 0, 1)
+        for key in ("quiet_power", "average", "still_share", "quiet_share"):
+            _within(f"training.{key}", getattr(self, key), 0, 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -340,9 +355,13 @@ def _build(kind: type, hints: dict[str, Any], data: Any, path: str) -> Any:
         raise SpecError(f"{path.rstrip('.')} must be a table, got {data!r}")
     if unknown := sorted(set(data) - set(hints)):
         raise SpecError(f"unknown key {path}{unknown[0]}; known keys: {', '.join(hints)}")
-    if missing := [key for key in hints if key not in data]:
+    optional = {
+        field.name for field in dataclasses.fields(kind) if field.default is not dataclasses.MISSING
+    }
+    if missing := [key for key in hints if key not in data and key not in optional]:
         raise SpecError(f"missing key {path}{missing[0]}")
-    return kind(**{key: _value(hint, data[key], path + key) for key, hint in hints.items()})
+    given = {key: hint for key, hint in hints.items() if key in data}
+    return kind(**{key: _value(hint, data[key], path + key) for key, hint in given.items()})
 
 
 def _value(hint: Any, value: Any, path: str) -> Any:

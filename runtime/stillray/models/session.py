@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -34,11 +35,22 @@ class Network:
         except BaseException:
             self.close()
             raise
+        self._names = [output.name for output in self._session.get_outputs()]
 
-    def run(self, features_nchw: np.ndarray) -> list[np.ndarray]:
-        """The outputs for ``(1, features, h, w)`` float32, without their batch axis."""
-        outputs = self._thread.submit(self._session.run, None, {"features": features_nchw}).result()
-        return [output[0] for output in outputs]
+    def run(self, graph: str, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The outputs by name, without their batch axis.
+
+        Parameters
+        ----------
+        graph
+            ``"network"``, the one there is.
+        inputs
+            ``"features"``: ``(1, features, h, w)`` float32.
+        """
+        if graph != "network":
+            raise ValueError(f"graph must be 'network', got {graph!r}")
+        outputs = self._thread.submit(self._session.run, None, dict(inputs)).result()
+        return {name: output[0] for name, output in zip(self._names, outputs, strict=True)}
 
     def close(self) -> None:
         """Stop the thread."""

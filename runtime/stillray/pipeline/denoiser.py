@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping, Sequence
 from types import TracebackType
 
 import numpy as np
@@ -12,17 +11,15 @@ import numpy as np
 from stillray.arrays.strips import Strips, available_threads
 from stillray.arrays.workspace import Scratch
 from stillray.errors import InputError
+from stillray.families.contract import Context, Engine, Family, Request, State
 from stillray.families.registry import FAMILIES
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
 from stillray.models.registry import ModelInfo, find_model
 from stillray.models.session import Network
-from stillray.pipeline import layers as aovs
-from stillray.pipeline import plan as stages
-from stillray.pipeline.tiles import Tile, crop, plan_tiles
-from stillray.stages import features as encode
-from stillray.stages import previous_output as recall
-from stillray.stages.prepare import History, LayerPast, Prepared, prepare
+from stillray.pipeline.layers import validated
+from stillray.pipeline.tiles import plan_tiles
+from stillray.stages.plan import Plan, Stage
 from stillray.timing import timed
 
 
@@ -43,6 +40,8 @@ class Denoiser:
     max_memory
         Bytes that the process should stay below: larger frames are denoised in tiles, which
         takes longer and differs by rounding. None for whole frames.
+    engine
+        Where the network runs, instead of ONNX Runtime on ``threads`` and ``providers``.
 
     Raises
     ------
@@ -58,6 +57,9 @@ class Denoiser:
     (4, 6, 3)
     """
 
+    #: What makes a model of a specification, by the name of its family.
+    families: Mapping[str, Callable[[ModelSpec], Family]] = FAMILIES
+
     def __init__(
         self,
         model: str | os.PathLike[str] | ModelInfo = "balanced",
@@ -66,6 +68,7 @@ class Denoiser:
         providers: Sequence[str] | None = None,
         temporal: bool = True,
         max_memory: int | None = None,
+        engine: Engine | None = None,
     ) -> None:
         if threads is not None and threads < 1:
             raise InputError(f"threads must be 1 or more, got {threads}")
@@ -73,16 +76,19 @@ class Denoiser:
         self.model = model if isinstance(model, ModelInfo) else find_model(model)
         self.temporal = temporal
         self.max_memory = max_memory
-        self._history: History | None = None
         #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
         self.last_timings: dict[str, float] = {}
-        self._network = Network(
+        self._family = self.families[self.model.family](self.model.spec)
+        #: Where the network runs.
+        self.engine: Engine = engine or Network(
             self.model.path, threads=threads, providers=tuple(providers) if providers else None
         )
+        self._owns_engine = engine is None
         self._strips = Strips(threads)
-        self._kept = Scratch()
-        self._spare: History | None = None  # what the next history may overwrite
-        self._lent = False  # whether somebody may hold the current history
+        self._workspace = Scratch()
+        self._state: State | None = None
+        self._spare: State | None = None  # what the next state may overwrite
+        self._shared = False  # whether somebody may hold the current state
 
     def __enter__(self) -> Denoiser:
         return self
@@ -96,35 +102,41 @@ class Denoiser:
         self.close()
 
     def close(self) -> None:
-        """Stop the worker threads."""
-        self._network.close()
+        """Stop the worker threads; an engine that was given stays open."""
+        if self._owns_engine:
+            self.engine.close()
         self._strips.close()
 
     @property
-    def history(self) -> History | None:
+    def state(self) -> State | None:
         """The past: a value that can be kept, and put back later; None before the first frame."""
-        self._lent = True
-        return self._history
+        self._shared = True
+        return self._state
 
-    @history.setter
-    def history(self, value: History | None) -> None:
-        self._history, self._lent = value, True
+    @state.setter
+    def state(self, value: State | None) -> None:
+        self._state, self._shared = value, True
 
     def reset(self) -> None:
-        """Forget the past: call it at a cut."""
-        self._history = None
+        """Forget the past: call it at a cut. What was learned from frames outlives cuts."""
+        self._state = None if self._state is None else self._state.after_cut()
 
-    def stages(self, frame: Frame) -> list[stages.Stage]:
-        """What will run for this frame, and why; nothing is run."""
-        past = self._history
-        same_size = past is not None and past.mean.shape[:2] == frame.shape
-        return stages.plan(
-            frame,
-            self.model.spec,
-            has_history=same_size,
-            temporal=self.temporal,
-            had_albedo=past is not None and past.divisor is not None,
-        )
+    def stages(self, frame: Frame, layers: Collection[str] = ()) -> list[Stage]:
+        """What will run for this frame, and why; nothing but a look at its values is run.
+
+        Parameters
+        ----------
+        frame
+            The buffers.
+        layers
+            Names of other layers that are to be filtered, as `denoise_layers` takes them.
+
+        Raises
+        ------
+        InputError
+            As `denoise` and `denoise_layers`.
+        """
+        return list(self._plan(frame, layers, Context(strips=self._strips)).stages)
 
     def denoise(self, frame: Frame) -> np.ndarray:
         """Denoise the next frame.
@@ -182,130 +194,51 @@ class Denoiser:
         InputError
             A layer has a wrong shape or type.
         """
-        return self._run(frame, aovs.validated(layers, frame), irradiance)
+        return self._run(frame, validated(layers, frame), irradiance)
 
     def _run(
         self, frame: Frame, layers: Mapping[str, np.ndarray], irradiance: Collection[str] = ()
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         self.last_timings = {}
-        spec = self.model.spec
-        tiles = plan_tiles(frame.shape, spec, self.max_memory)
+        context = Context(
+            strips=self._strips,
+            engine=self.engine,
+            workspace=self._workspace,
+            timings=self.last_timings,
+            spare=self._spare,
+        )
+        step = self._family.step(self._plan(frame, layers, context), context)
+        images: dict[str, np.ndarray] = {}
+        if step.filter_layer is not None:
+            with timed(self.last_timings, "layers"):
+                for name, layer in layers.items():
+                    images[name] = step.filter_layer(name, layer, irradiance=name in irradiance)
+        self._remember(step.finish())
+        return step.image, images
+
+    def _plan(self, frame: Frame, layers: Collection[str], context: Context) -> Plan:
+        traits = self._family.traits
+        if missing := sorted(traits.required - frame.given):
+            raise InputError(f"{self.model.name} needs the buffer {missing[0]}, which is not given")
+        tiles = plan_tiles(frame.shape, traits, self.max_memory, self.model.name)
+        if layers and not traits.linear:
+            raise InputError(f"layers must be none with {self.model.name}, got {', '.join(layers)}")
         if layers and len(tiles) > 1:
             raise InputError(
                 f"max-memory must hold the whole frame where other layers are filtered too, got "
                 f"{self.max_memory} bytes for {frame.shape[1]} x {frame.shape[0]} pixels"
             )
-        family = FAMILIES[spec.family]
-        history = self._history if self.temporal else None
-        # a layer without a past would not add up with those that have one
-        if history is not None and layers and history.layers.keys() != layers.keys():
-            history = None
-        if history is not None and history.mean.shape[:2] != frame.shape:
-            history = None
-        prepared = prepare(
-            frame,
-            spec,
-            history,
-            self._strips,
-            self.last_timings,
-            temporal=self.temporal,
-            wants_sample=family.renews or bool(layers),
-            recalls=family.recalls,
-            kept=self._kept,
-            spare=self._spare,
+        request = Request(
+            temporal=self.temporal, layers=frozenset(layers), tiles=tuple(tiles[1:] and tiles)
         )
-        previous: np.ndarray | None = None
-        if family.recalls and self.temporal:
-            previous = recall.recalled(
-                history, prepared, spec, self._strips, self.last_timings, self._kept
-            )
-        images: dict[str, np.ndarray] = {}
-        pasts: dict[str, LayerPast] = {}
-        if len(tiles) == 1:
-            image, outputs = self._filter(prepared, previous)
-        else:
-            image = self._filter_tiles(prepared, previous, tiles)
-        if layers:
-            with timed(self.last_timings, "layers"):
-                images, pasts = aovs.filter_layers(
-                    layers, frame, prepared, history, outputs, spec, family, self._strips,
-                    irradiance=irradiance, temporal=self.temporal,
-                )  # fmt: skip
-        output: np.ndarray | None = None
-        if family.recalls and self.temporal:
-            output = recall.remember(image, self._strips, self._spare)
-        self._remember(replace(prepared.history, output=output, layers=pasts))
-        return image, images
+        return self._family.plan(frame, self._state, request, context)
 
-    def _filter_tiles(
-        self, prepared: Prepared, previous: np.ndarray | None, tiles: list[Tile]
-    ) -> np.ndarray:
-        image = np.empty((*prepared.luminance.shape, 3), np.float32)
-        for tile in tiles:
-            past = None if previous is None else np.ascontiguousarray(previous[tile.outer])
-            image[tile.inner] = self._filter(crop(prepared, tile), past)[0][tile.within]
-        return image
-
-    def _filter(
-        self, prepared: Prepared, previous: np.ndarray | None
-    ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """The picture, and what the network gave for it."""
-        spec = self.model.spec
-        features = self._encode(spec, prepared, previous)
-        with timed(self.last_timings, "network"):
-            outputs = self._network.run(features)
-        image = FAMILIES[spec.family].reconstruct(
-            prepared, previous, outputs, spec, self._strips, self.last_timings
-        )
-        return image, outputs
-
-    def _remember(self, history: History) -> None:
-        # two histories change places, unless somebody may still look at the older
-        self._spare = None if self._lent else self._history
-        self._history, self._lent = history, False
+    def _remember(self, state: State) -> None:
+        # two states change places, unless somebody may still look at the older
+        self._spare = None if self._shared else self._state
+        self._state, self._shared = state, False
         if not self.temporal:
-            self._history, self._spare = None, history
-
-    def _encode(
-        self, spec: ModelSpec, prepared: Prepared, previous: np.ndarray | None
-    ) -> np.ndarray:
-        height, width = prepared.luminance.shape
-        multiple = FAMILIES[spec.family].multiple(spec)
-        full = (-(-height // multiple) * multiple, -(-width // multiple) * multiple)
-        features_nchw = self._kept.array("features", (1, len(spec.network.features), *full))
-        mean, normal, depth = prepared.history.mean, prepared.normal, prepared.depth
-
-        def pack(rows: slice) -> None:
-            planes = features_nchw[0, :, rows, :width]
-            encode.feature_planes(
-                mean[rows],
-                prepared.local[rows],
-                prepared.history.exposure,
-                spec.temporal,
-                spec.network.features,
-                sample=prepared.luminance[rows],
-                albedo=None if prepared.albedo is None else prepared.albedo[rows],
-                normal=None if normal is None else normal[rows],
-                depth=None if depth is None else depth[rows],
-                depth_unit=prepared.depth_unit,
-                out=planes,
-                scratch=self._strips.scratch,
-            )
-            encode.previous_planes(
-                None if previous is None else previous[rows],
-                None if prepared.modulator is None else prepared.modulator[rows],
-                prepared.history.exposure,
-                spec.network.features,
-                out=planes,
-                scratch=self._strips.scratch,
-            )
-
-        with timed(self.last_timings, "encode"):
-            self._strips.run(pack, height, width)
-            # to a multiple by repeating the last column and row
-            features_nchw[..., :height, width:] = features_nchw[..., :height, width - 1 : width]
-            features_nchw[..., height:, :] = features_nchw[..., height - 1 : height, :]
-        return features_nchw
+            self._state, self._spare = None, state
 
 
 def denoise(

@@ -25,8 +25,9 @@ from stillray.profiling.machine import output_of, peak_resident
 TOTAL, REST = "total", "rest"
 #: The stages in the order of a frame's way, files included.
 ORDER = (
-    "read", "repair", "demodulate", "expose", "mirror", "warp", "guides", "accumulate",
-    "antialias", "recall", "encode", "network", "reconstruct", "modulate", REST, "write",
+    "read", "inspect", "repair", "demodulate", "expose", "reject", "mirror", "guides", "warp",
+    "accumulate", "antialias", "recall", "encode", "network", "reconstruct", "modulate", "layers",
+    "remember", REST, "write",
 )  # fmt: skip
 _SETTLING = 2  # frames that still allocate: two histories change places
 _LEAST_FRAMES = 3

@@ -11,7 +11,8 @@ import numpy as np
 
 from stillray.arrays.strips import Strips
 from stillray.errors import InputError
-from stillray.families import box_filter as kernels
+from stillray.families.fused_kernels import FusedKernelsModel
+from stillray.families.temporal_kernels import filterable
 from stillray.model_spec.loader import FusedKernels, ModelSpec
 from stillray.models.registry import find_model
 from stillray.profiling.clip import DEFAULT_SIZE, open_clip
@@ -216,16 +217,17 @@ def time_reconstruction(
     base = find_model("wskp-6").spec  # whose logits come by pixels
     strips = Strips(threads)
     frame = open_clip(size=size).frames[0]
-    prepared = prepare(frame, base, None, strips, {})
+    prepared = prepare(frame, base, None, strips)
+    light = filterable(prepared, None)
     most = 2 * max(len(sizes) for sizes in choices)
     logits = np.random.default_rng(0).normal(size=(most, *size)).astype(np.float32)
     times: list[list[float]] = [[] for _ in choices]
     for turn in range(rounds + 1):
         for sizes, found in zip(choices, times, strict=True):
-            spec = with_kernels(base, sizes)
+            model = FusedKernelsModel(with_kernels(base, sizes))
             maps = logits[: 2 * len(sizes)]
             start = time.perf_counter()
-            kernels.reconstruct(prepared, None, [maps], spec, strips, {})
+            model.reconstruct(light, [maps], strips, {})
             if turn:  # the first round allocates
                 found.append(1e3 * (time.perf_counter() - start))
     strips.close()

@@ -15,18 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from stillray.families.pyramid_logits import level_logits
-from stillray.families.registry import FAMILIES
+from stillray.families.cost import EXP, WINDOW_SUM
+from stillray.families.registry import family_of, kernels_of
 from stillray.frame import Frame
-from stillray.model_spec.loader import BilateralGrids, FusedKernels, ModelSpec, PyramidKernels
+from stillray.model_spec.loader import ModelSpec
 from stillray.models.registry import ModelInfo
 from stillray.models.session import open_session
 from stillray.profiling.machine import Peaks
 
 _BYTES = 4  # of a float32
 _CHANNELS = {"color": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2}
-_WINDOW_SUM = 4  # operations: one value comes in and one goes out, along each axis
-_EXP = 1  # operations of an exponential, a root or a logarithm: instructions of their own in time
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,15 +75,18 @@ def _each_pixel(spec: ModelSpec, frame: Frame) -> dict[str, tuple[float, float]]
     )
     features = len(spec.network.features)
     buffers = sum(_CHANNELS[name] for name in frame.given if name in _CHANNELS)
-    local = 3 + _WINDOW_SUM + 1  # tone map, window, scale
-    operations, planes = _RECONSTRUCTION[spec.family](spec)
+    local = 3 + WINDOW_SUM + 1  # tone map, window, scale
+    operations, planes = kernels_of(spec).cost
     return {
-        "repair": (2 * buffers, buffers),
-        # limit, divide and luminance; color and albedo are in the cache, which repair has read
-        "demodulate": (2 * albedo + 3 + 5, albedo + 1),
+        "inspect": (2 * buffers, buffers),
+        "repair": (3 * buffers, 2 * buffers),
+        # limit, divide and luminance
+        "demodulate": (2 * albedo + 3 + 5, 3 + 2 * albedo + 1),
         "expose": (local + 2, 2),
+        # bounded, summed up and squared by blocks
+        "reject": (5, 1),
         # two images toned and halved; at half resolution, a depth: positions, a tap, a window sum
-        "mirror": (2 * (5 + 4 + 1) + 4 / 4 * (4 + 9 + 2 + _WINDOW_SUM), 4 + 1 + albedo + 1 + 2 + 2),
+        "mirror": (2 * (5 + 4 + 1) + 4 / 4 * (4 + 9 + 2 + WINDOW_SUM), 4 + 1 + albedo + 1 + 2 + 2),
         "guides": (7, guides + 4),
         # four taps of history and guides, and the test of each
         "warp": (4 * (2 * 8 + 9) + 12, 2 + 4 + 4 + 4),
@@ -94,80 +95,15 @@ def _each_pixel(spec: ModelSpec, frame: Frame) -> dict[str, tuple[float, float]]
         # four taps, the least and the most of nine, limits and the mean, of each channel
         "antialias": (3 * (4 * 2 + 4 + 4 + 2 + 3), albedo + 2 + 4 + 4 + albedo),
         "recall": (4 * 2 * 4 + 6, 2 + 4 + 4),
-        "encode": (3 * (4 + _EXP) + 4 + 2, 4 + 1 + albedo + guides + features),
+        "encode": (3 * (4 + EXP) + 4 + 2, 4 + 1 + albedo + guides + features),
         "reconstruct": (operations, planes),
         "modulate": (3, 3),
+        "remember": (0, 3 + 4),
     }
 
 
-def _kernels(spec: ModelSpec) -> tuple[float, float]:
-    assert isinstance(spec.decoder, FusedKernels)
-    maps = len(spec.decoder.kernel_sizes)
-    # two exponentials, importance, sums of it and of three channels, the share, three additions
-    one = 2 * _EXP + 1 + 3 + 4 * _WINDOW_SUM + 1 + 3 * 2 + 1
-    return maps * one + 3, 2 * maps + 4 + 3
-
-
-def _pyramid(spec: ModelSpec) -> tuple[float, float]:
-    assert isinstance(spec.decoder, PyramidKernels)
-    levels = FAMILIES[spec.family].multiple(spec).bit_length()
-    operations, planes = 0.0, 3.0 + 3.0 + 4.0  # divisor, image, the previous output
-    for level in range(levels):
-        share = 0.25**level
-        logits = level_logits(level, levels, spec.decoder)
-        maps = len(spec.decoder.kernel_sizes) if level or spec.decoder.finest_kernels else 0
-        # kernels as above; itself and the coarser level; what is pooled; four pixels for one, with
-        # their shares and of each channel three products
-        kernels = maps * (1 + 3 + 4 * _WINDOW_SUM + 1 + 3 * 2 + 1)
-        doubled = 4 * (6 + 3 * 5) if level else 0
-        neighbours = 8 * (1 + 3 * 2) if level and spec.decoder.predicted else 0
-        operations += share * (logits * _EXP + kernels + 3 * 4 + 4 * 2 + doubled + neighbours)
-        planes += share * (logits + 4 + 4)  # light read and the level's result written
-    resolve = 9 * (1 + 3 * 2) + 3 + 3  # eight neighbours and the past; normalised, modulated
-    return operations + resolve, planes
-
-
-def _grids(spec: ModelSpec) -> tuple[float, float]:
-    from stillray.families.bilateral_grid import grid_cells
-
-    assert isinstance(spec.decoder, BilateralGrids)
-    operations, planes = 3.0, 4.0 + 3.0  # modulated; light and image
-    for scale in range(spec.decoder.grids):
-        spacing = spec.decoder.spacing << scale
-        cells = grid_cells(1, 1, spec.decoder, scale)[2] / spacing  # of a slab, a pixel
-        corners = 2 * (2 - 1 / spacing)  # those beside a pixel in its row's slab, one depth or two
-        # splatted, added up; interpolated, read; guide, two depths, share and blend of each channel
-        operations += 2 * (corners * 4 * 2) + cells * 4 * (4 + 3) + 10 + 4 * 8
-        planes += 2 * (1 + 4 + 4 * cells) + 1
-    return operations, planes
-
-
-def _multires(spec: ModelSpec) -> tuple[float, float]:
-    operations, planes = 0.0, 0.0
-    coarsest = FAMILIES[spec.family].multiple(spec).bit_length() - 1
-    filtered, moved = _kernels(spec)
-    for level in range(coarsest + 1):
-        share = 0.25**level
-        operations += share * filtered
-        planes += share * moved
-        if level < coarsest:
-            # weighted means for the coarser level; the share that gives way, and of each channel
-            # a block's mean, least and most, the step to the coarser level and two limits
-            operations += share * (3 + 4 + _EXP + 2 + 3 * (3 + 2 + 2))
-            planes += share * (1 + 3 / 4)
-    return operations, planes
-
-
-_RECONSTRUCTION = {
-    "weight-sharing-kernels": _kernels,
-    "kernel-pyramid": _pyramid,
-    "multi-resolution-kernels": _multires,
-    "bilateral-grids": _grids,
-}
-
-
 def _network(info: ModelInfo, height: int, width: int) -> Work:
-    multiple = FAMILIES[info.spec.family].multiple(info.spec)
+    multiple = family_of(info.spec).traits.tile_alignment
     # work is proportional to the pixels, so that a small frame tells
     side = max(multiple, 16)
     small = network_work(info.path, side, side)

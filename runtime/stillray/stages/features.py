@@ -114,6 +114,7 @@ def feature_planes(
     normal: np.ndarray | None,
     depth: np.ndarray | None,
     depth_unit: float,
+    frame_samples: float | np.ndarray = 1.0,
     out: np.ndarray,
     scratch: Scratch | None = None,
 ) -> None:
@@ -137,6 +138,8 @@ def feature_planes(
         Features of the frame; planes of one that is missing are filled with 0.
     depth_unit
         See `depth_scale`.
+    frame_samples : number or (h, w) float32
+        Samples a pixel of a frame, > 0; 1 where nobody said.
     out : (len(features), h, w) float32
         Written: values in [0, 1] ([-1, 1] for normals).
     scratch
@@ -162,6 +165,7 @@ def feature_planes(
     if (target := plane.get("local_luminance")) is not None:
         np.sqrt(local, out=target)
     if (target := plane.get("samples")) is not None:
+        samples *= np.float32(frame_samples)
         np.add(samples, np.float32(temporal.max_samples / 4), out=target)
         np.divide(samples, target, out=target)
         np.sqrt(target, out=target)

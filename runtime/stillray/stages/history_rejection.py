@@ -48,6 +48,11 @@ class Brightness:
     frames: int = 1
 
 
+def can_tell(shape: tuple[int, int]) -> bool:
+    """Whether frames of a size, in pixels, are large enough to tell changes of light."""
+    return _block(*shape) is not None
+
+
 def brightness(light: np.ndarray, exposure: float, strips: Strips) -> Brightness | None:
     """Light of a frame's samples, or None if the frame is too small to tell.
 

@@ -9,11 +9,9 @@ import numpy as np
 
 from stillray.arrays.strips import Strips, pixels_of
 from stillray.arrays.workspace import Scratch
-from stillray.model_spec.loader import ModelSpec, PyramidKernels
 from stillray.stages import features as encode
-from stillray.stages.prepare import History, Prepared
 from stillray.stages.reproject import bilinear
-from stillray.timing import timed
+from stillray.stages.state import History, Prepared
 
 _AROUND, _FOUR = np.ones((3, 3), np.uint8), np.ones((2, 2), np.uint8)
 # Shares of the four taps that lie in the frame: below the first, light fades instead of being
@@ -25,26 +23,23 @@ _DARK, _MOST = np.float32(1e-30), np.float32(4096)
 
 
 def recalled(
-    history: History | None,
+    history: History,
     prepared: Prepared,
-    spec: ModelSpec,
     strips: Strips,
-    timings: dict[str, float],
-    kept: Scratch | None = None,
+    workspace: Scratch | None = None,
+    *,
+    sharp: bool,
 ) -> np.ndarray | None:
-    """The previous output at a prepared frame's pixels, or None where there is no past.
+    """The previous output at a prepared frame's pixels, or None where there is none.
 
-    It lies in ``kept`` if that is given, or in the history where nothing moves.
+    It lies in the workspace if that is given, or in the history where nothing moves; ``sharp`` as
+    for `recall`.
     """
-    if history is None or history.output is None or prepared.motion is None:
+    if history.output is None:
         return None
-    if history.output.shape[:2] != prepared.motion.shape[:2]:
-        return None
-    with timed(timings, "recall"):
-        out = None if kept is None else kept.array("recalled", history.output.shape)
-        positions = prepared.picture_positions
-        past = recall(history.output, positions, strips, out, sharp=is_sharp(spec))
-        return forget_uncovered(past, history.output, prepared)
+    out = None if workspace is None else workspace.array("recalled", history.output.shape)
+    past = recall(history.output, prepared.picture_positions, strips, out, sharp=sharp)
+    return forget_uncovered(past, history.output, prepared)
 
 
 def forget_uncovered(past: np.ndarray, output: np.ndarray, prepared: Prepared) -> np.ndarray:
@@ -61,11 +56,11 @@ def forget_uncovered(past: np.ndarray, output: np.ndarray, prepared: Prepared) -
     output : (h, w, 4) float32
         The last output, which belongs to the history; not changed.
     prepared
-        The frame; what is ``fresh`` in it had no past.
+        The frame; what is ``disoccluded`` in it had no past.
     """
-    if prepared.fresh is None:
+    if prepared.disoccluded is None:
         return past
-    uncovered = np.flatnonzero(cv2.morphologyEx(prepared.fresh, cv2.MORPH_OPEN, _AROUND))
+    uncovered = np.flatnonzero(cv2.morphologyEx(prepared.disoccluded, cv2.MORPH_OPEN, _AROUND))
     if not uncovered.size:
         return past
     if past is output:
@@ -144,7 +139,7 @@ def recall(
 
 
 def recall_of_layers(
-    output: np.ndarray, positions: np.ndarray | None, spec: ModelSpec, strips: Strips
+    output: np.ndarray, positions: np.ndarray | None, strips: Strips, *, sharp: bool
 ) -> Callable[[np.ndarray], np.ndarray]:
     """How the previous outputs of layers are brought to the current pixels.
 
@@ -152,17 +147,15 @@ def recall_of_layers(
 
     Parameters
     ----------
-    output, positions, strips
+    output, positions, strips, sharp
         As for `recall`, of the beauty.
-    spec
-        Of the model.
 
     Returns
     -------
     Callable
         From a layer's previous output, see `remember`, to what `recall` gives.
     """
-    if positions is None or not is_sharp(spec):
+    if positions is None or not sharp:
         return lambda layer: recall(layer, positions, strips)
     height, width = positions.shape[:2]
     light, factor = _Luminance(output, strips), np.empty((height, width), np.float32)
@@ -181,11 +174,6 @@ def recall_of_layers(
         return past
 
     return follow
-
-
-def is_sharp(spec: ModelSpec) -> bool:
-    """Whether a model recalls its outputs by sharp interpolation."""
-    return isinstance(spec.decoder, PyramidKernels) and spec.decoder.sharp_recall
 
 
 class _Luminance:

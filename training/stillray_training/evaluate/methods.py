@@ -119,7 +119,7 @@ def accumulate_frames(frames: Sequence[Frame], model: str) -> list[np.ndarray]:
     history: History | None = None
     images = []
     for frame in frames:
-        prepared = prepare(frame, spec, history, Strips(1), {})
+        prepared = prepare(frame, spec, history, Strips(1))
         history = prepared.history
         mean = history.mean[..., :3]
         images.append(mean if prepared.divisor is None else mean * prepared.divisor)

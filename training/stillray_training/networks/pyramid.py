@@ -95,7 +95,7 @@ class PyramidNet(nn.Module):
         self.concatenate = network.concatenate
 
     def forward(self, features_nchw: Tensor) -> tuple[Tensor, ...]:
-        """``(n, features, h, w)`` to one map a resolution; sizes as `kernel_pyramid.multiple`."""
+        """``(n, features, h, w)`` to one map a resolution; sizes as `kernel_pyramid.alignment`."""
         skips = []
         for enter, encode in zip(self.enter, self.encode, strict=True):
             features_nchw = encode(F.relu(enter(features_nchw)))

@@ -24,9 +24,10 @@ from torch.nn import functional as F
 from stillray.arrays.strips import Strips, interleave, planes_of, with_halo
 from stillray.arrays.workspace import Scratch
 from stillray.families.box_filter import bounded_exp
+from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import FusedKernels, ImportanceNetwork
-from stillray.stages.prepare import Prepared
+from stillray.stages.state import Filterable
 from stillray.timing import timed
 from stillray_training.families import BoxFilter, Family
 from stillray_training.networks.repvgg import RepVGGBlock
@@ -218,31 +219,40 @@ def filter_planes(
     return total
 
 
-def reconstruct(
-    prepared: Prepared,
-    previous: np.ndarray | None,
-    outputs: Sequence[np.ndarray],
-    spec: ModelSpec,
-    strips: Strips,
-    timings: dict[str, float],
-) -> np.ndarray:
-    """Filter and re-modulate a frame, see `stillray.families.registry.Family`."""
-    options = options_of(spec)
-    (logits,) = outputs
-    mean = prepared.history.mean
-    height, width = mean.shape[:2]
-    image = np.empty((height, width, 3), np.float32)
+class PredictedKernelsModel(TemporalKernels):
+    """The peer as `stillray.Denoiser` runs it: accumulation and features are those of a model."""
 
-    def work(rows: slice) -> None:
-        near, own = with_halo(rows, options.kernel_size // 2, height)
-        image[rows] = filter_rows(mean[near], logits[:, near], own, options, strips.scratch)
+    def __init__(self, spec: ModelSpec) -> None:
+        self._options = options_of(spec)
+        size = self._options.kernel_size
+        self.method = f"a {size} x {size} kernel a pixel"
+        # an exponential, a weight, its sum and three channels; a logit a tap, light and image
+        self.cost = (size**2 * (1.0 + 2 + 1 + 3 * 2) + 3, size**2 + 4.0 + 3.0)
+        super().__init__(spec, Looks(reach=size // 2, receptive_field=None))
 
-    with timed(timings, "reconstruct"):
-        strips.run(work, height, width)
-    if prepared.modulator is not None:
-        with timed(timings, "modulate"):
-            image *= prepared.modulator
-    return image
+    def reconstruct(
+        self,
+        light: Filterable,
+        outputs: Sequence[np.ndarray],
+        strips: Strips,
+        timings: dict[str, float],
+    ) -> np.ndarray:
+        """Filter and remodulate, see `TemporalKernels`."""
+        (logits,) = outputs
+        options, mean = self._options, light.mean
+        height, width = mean.shape[:2]
+        image = np.empty((height, width, 3), np.float32)
+
+        def work(rows: slice) -> None:
+            near, own = with_halo(rows, options.kernel_size // 2, height)
+            image[rows] = filter_rows(mean[near], logits[:, near], own, options, strips.scratch)
+
+        with timed(timings, "reconstruct"):
+            strips.run(work, height, width)
+        if light.modulator is not None:
+            with timed(timings, "modulate"):
+                image *= light.modulator
+        return image
 
 
 def options_of(spec: ModelSpec) -> KernelPrediction:

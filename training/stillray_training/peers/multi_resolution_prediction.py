@@ -17,12 +17,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from torch import Tensor, nn
 
-from stillray.arrays.strips import Strips
 from stillray.arrays.workspace import Scratch
 from stillray.families import multi_resolution as multires
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import FusedKernels, PyramidNetwork
-from stillray.stages.prepare import Prepared
 from stillray_training.decoders.multires import filtered_resolutions
 from stillray_training.families import BoxFilter, Family
 from stillray_training.networks.pyramid import PyramidNet
@@ -59,24 +57,16 @@ def multi_resolution_predicted_kernels(
     return filtered_resolutions(irradiance_nchw, samples_nchw, logits, options, level_filter)
 
 
-def reconstruct(
-    prepared: Prepared,
-    previous: np.ndarray | None,
-    outputs: Sequence[np.ndarray],
-    spec: ModelSpec,
-    strips: Strips,
-    timings: dict[str, float],
-) -> np.ndarray:
-    """The twin without PyTorch, with re-modulation; sizes and logits as `multi_resolution`'s."""
-    return multires.reconstruct(
-        prepared, previous, outputs, spec, strips, timings, level_filter=_filter_level
-    )
-
-
 def _filter_level(
     mean: np.ndarray, logits: np.ndarray, inner: slice, options: FusedKernels, scratch: Scratch
 ) -> np.ndarray:
     return filter_planes(mean, logits, inner, kernels_of(options), scratch)
+
+
+class MultiResolutionPredictedModel(multires.MultiResolutionModel):
+    """The peer as `stillray.Denoiser` runs it; logits as a multi-resolution model's."""
+
+    level_filter = staticmethod(_filter_level)
 
 
 def _network(spec: ModelSpec) -> nn.Module:

@@ -10,7 +10,12 @@ OIDN_QUALITIES = ("high", "balanced", "fast")
 
 
 def open_image_denoise(
-    color: np.ndarray, albedo: np.ndarray | None, normal: np.ndarray | None, quality: str
+    color: np.ndarray,
+    albedo: np.ndarray | None,
+    normal: np.ndarray | None,
+    quality: str,
+    *,
+    clean_features: bool = False,
 ) -> np.ndarray:
     """Denoise HDR ``color`` with Open Image Denoise.
 
@@ -20,12 +25,19 @@ def open_image_denoise(
         As `stillray.Frame` has them.
     quality
         One of `OIDN_QUALITIES`.
+    clean_features
+        Whether albedo and normal have no noise.
     """
     import pyoidn
 
     return np.asarray(
         pyoidn.denoise(
-            np.ascontiguousarray(color), albedo=albedo, normal=normal, hdr=True, quality=quality
+            np.ascontiguousarray(color),
+            albedo=albedo,
+            normal=normal,
+            hdr=True,
+            quality=quality,
+            clean_aux=clean_features,
         )
     )
 

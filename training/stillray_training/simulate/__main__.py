@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -34,6 +35,7 @@ from stillray.errors import InputError
 from stillray_training.simulate.effects import EFFECTS, check_names
 from stillray_training.simulate.explain import explain as explain_plan
 from stillray_training.simulate.farm import default_workers, run_farm, run_here
+from stillray_training.simulate.generators import GENERATORS
 from stillray_training.simulate.jobs import Job
 from stillray_training.simulate.recipe import read_recipe
 from stillray_training.simulate.report import write_report
@@ -48,9 +50,12 @@ def simulate(
     folder: Annotated[Path | None, typer.Argument(help="Where the sequence folders go.")] = None,
     scene: Annotated[
         list[str] | None,
-        typer.Option(help="room, corridor, court, tabletop, or a Mitsuba XML file; repeatable."),
+        typer.Option(help=f"{', '.join(GENERATORS)}, or a Mitsuba XML file; repeatable."),
     ] = None,
     recipe: Annotated[Path | None, typer.Option(help="A TOML file of many scenes.")] = None,
+    assets: Annotated[
+        Path | None, typer.Option(help="Folder of objects for interior, desk and shadows.")
+    ] = None,
     effects: Annotated[
         str,
         typer.Option(help=f"'own': what the scene calls for; 'none'; or of {','.join(EFFECTS)}."),
@@ -109,13 +114,15 @@ def simulate(
         raise InputError(f"count must be 1 or more, got {count}")
     if recipe is not None:
         jobs = read_recipe(recipe)
+        if assets is not None:
+            jobs = [replace(job, options=replace(job.options, assets=str(assets))) for job in jobs]
     else:
         options = SequenceOptions(
             frames=frames, first=first, height=height, width=width, spp=spp,
             reference_spp=reference_spp, references=references, depth=depth,
             reference_scale=reference_scale, move=move, speed=speed, origin=origin, target=target,
             fov=fov, cameras=str(cameras) if cameras else None, second_color=second_color,
-            guides=_list(guides), jitter=jitter,
+            guides=_list(guides), jitter=jitter, assets=str(assets) if assets else None,
         )  # fmt: skip
         # seed by seed through all scenes: a run that is stopped early still holds every scene
         jobs = [
@@ -188,7 +195,8 @@ def _explain(jobs: list[Job], variant: str | None) -> None:
         return
     counts: Counter[str] = Counter()
     for job in jobs:
-        counts.update({name: job.views for name in job.asks(open_world(mi, job.scene, job.seed))})
+        world = open_world(mi, job.scene, job.seed, job.options.assets)
+        counts.update({name: job.views for name in job.asks(world)})
     total = sum(job.views for job in jobs)
     console.print(f"{total} sequences of {len(jobs)} scenes; sequences per effect:")
     for name in EFFECTS:

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillray_training.simulate.camera import Camera
 from stillray_training.simulate.paths import CameraPath
 from stillray_training.simulate.stage import Stage
-from stillray_training.simulate.trace import Samples, first_hits, launches, radiance
+from stillray_training.simulate.trace import Samples, Shot, first_hits, launches, radiance
 
 SHUTTER_STRATA = 8  # of a noisy frame under motion blur
 REFERENCE_STRATA = 32  # of a reference under motion blur
@@ -23,6 +22,7 @@ class Moment:
     path: CameraPath
     focus: float  # metres
     jitter: np.ndarray  # (2,) pixels, x right and y down
+    clamp: float | None = None  # radiance of one contribution of indirect light; None: any
 
 
 def render_noisy(stage: Stage, moment: Moment, *, spp: int, seed: int) -> dict[str, np.ndarray]:
@@ -52,39 +52,47 @@ def render_noisy(stage: Stage, moment: Moment, *, spp: int, seed: int) -> dict[s
     sums: Samples = {}
     for index, share in enumerate(launches(spp, height * width)):
         # seeds of strata lie nearer together than those of launches
-        samples = _samples(stage, moment, share, seed + 1000 * index, rng)
-        # samples that hit nothing carry no normal
-        samples["normal"] = np.where(samples["hit"][:, None] > 0, samples["normal"], 0)
-        for name, values in samples.items():
-            part = values.reshape(height * width, share, *values.shape[1:]).sum(axis=1)
-            sums[name] = sums[name] + part if name in sums else part
+        part = _samples(stage, moment, share, seed + 1000 * index, rng)
+        for name, values in part.items():
+            sums[name] = sums[name] + values if name in sums else values
     return _resolve({name: values / spp for name, values in sums.items()}, height, width)
 
 
 def _samples(
     stage: Stage, moment: Moment, spp: int, seed: int, rng: np.random.Generator
 ) -> Samples:
-    """All samples of one launch, ``spp`` after ``spp`` for each pixel."""
+    """Sums over the samples of one launch, ``spp`` of each pixel."""
     count = stage.height * stage.width
-    strata = SHUTTER_STRATA if stage.plan.shutter else 1
-    times = shutter_times(moment.frame, stage.plan.shutter, strata, rng)
+    if not stage.plan.shutter:
+        shot = _open_shutter(stage, moment, float(moment.frame))
+        return first_hits(stage, shot, np.arange(count), seed, spp)
+    times = shutter_times(moment.frame, stage.plan.shutter, SHUTTER_STRATA, rng)
     pixels = np.repeat(np.arange(count), spp)
-    stratum = rng.integers(strata, size=pixels.size) if strata > 1 else np.zeros(pixels.size, int)
-    merged: Samples = {}
+    stratum = rng.integers(SHUTTER_STRATA, size=pixels.size)
+    sums: Samples = {}
     for index, time in enumerate(times):
-        chosen = np.flatnonzero(stratum == index)
+        chosen = pixels[stratum == index]
         if not chosen.size:
             continue
-        camera = moment.path(time)
-        stage.pose(time)
-        stage.aim(camera, moment.focus)
-        seen = first_hits(
-            stage, pixels[chosen], seed + index, moment.jitter, stage.plan.wants.guides
-        )
-        seen["depth"], seen["motion"] = _motion(stage, seen, time, camera, moment.path(time - 1))
-        for name, values in seen.items():
-            merged.setdefault(name, np.zeros((pixels.size, *values.shape[1:])))[chosen] = values
-    return merged
+        shot = _open_shutter(stage, moment, time)
+        for name, values in first_hits(stage, shot, chosen, seed + index).items():
+            total = sums.setdefault(name, np.zeros((count, *values.shape[1:])))
+            np.add.at(total, chosen, values)
+    return sums
+
+
+def _open_shutter(stage: Stage, moment: Moment, time: float) -> Shot:
+    """Pose and aim the stage for a time in frames."""
+    camera = moment.path(time)
+    stage.pose(time)
+    stage.aim(camera, moment.focus)
+    return Shot(
+        time=time,
+        camera=camera,
+        previous=moment.path(time - 1),
+        jitter=moment.jitter,
+        clamp=moment.clamp,
+    )
 
 
 def render_second(stage: Stage, moment: Moment, *, spp: int, seed: int) -> np.ndarray:
@@ -102,7 +110,8 @@ def render_reference(stage: Stage, moment: Moment, *, spp: int, seed: int) -> np
         stage.aim(moment.path(time), moment.focus)
         share = spp // strata + (index < spp % strata)
         # seeds of strata lie apart by more than the launches of one
-        part = radiance(stage, stage.reference_sensor, share, seed + 1000 * index)
+        sensor = stage.reference_sensor
+        part = radiance(stage, sensor, share, seed + 1000 * index, moment.clamp)
         # every stratum is the same part of the shutter time, whatever its share of the samples
         total = total + part.astype(np.float64) / strata
     return np.asarray(total, np.float32)
@@ -113,34 +122,6 @@ def shutter_times(frame: int, shutter: float, strata: int, rng: np.random.Genera
     if not shutter:
         return np.array([float(frame)])
     return frame + shutter * ((np.arange(strata) + rng.random(strata)) / strata - 0.5)
-
-
-def _motion(
-    stage: Stage, seen: Samples, time: float, camera: Camera, previous: Camera
-) -> tuple[np.ndarray, np.ndarray]:
-    """Camera z and motion of each sample."""
-    height, width = stage.height, stage.width
-    hit = seen["hit"] > 0
-    direction = seen["direction"]
-    position = np.where(hit[:, None], seen["position"], camera.to_world[:3, 3] + direction)
-    x, y, depth = camera.project(position, height, width)
-    earlier = position.copy()
-    if "object" in seen:
-        now, before = stage.matrices(time), stage.matrices(time - 1)
-        for index, group in enumerate(stage.groups, start=1):
-            on = seen["object"] == index
-            # back to where the point was when the object stood in its first place, then forward
-            carry = before[group] @ np.linalg.inv(now[group])
-            earlier[on] = position[on] @ carry[:3, :3].T + carry[:3, 3]
-    was_x, was_y, _ = previous.project(earlier, height, width)
-    far_x, far_y = camera.project_direction(direction, height, width)
-    far_was_x, far_was_y = previous.project_direction(direction, height, width)
-    motion = np.where(
-        hit[:, None],
-        np.stack([was_x - x, was_y - y], -1),
-        np.stack([far_was_x - far_x, far_was_y - far_y], -1),
-    )
-    return np.where(hit, depth, 0.0), motion
 
 
 def _resolve(means: Samples, height: int, width: int) -> dict[str, np.ndarray]:

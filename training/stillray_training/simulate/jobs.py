@@ -59,7 +59,7 @@ class Job:
 
     def plan(self, mi: Any) -> Plan:
         """Open the scene and decide what is simulated in it."""
-        world = open_world(mi, self.scene, self.seed)
+        world = open_world(mi, self.scene, self.seed, self.options.assets)
         return make_plan(world, self.asks(world), self.options.wants())
 
     def asks(self, world: World) -> tuple[str, ...]:

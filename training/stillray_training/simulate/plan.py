@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -136,6 +136,7 @@ def make_plan(
     lights, light_groups = _lamps(world, added, motions, shapes)
     for effect in added:
         lights.update(effect.lights(world))
+    shapes, lights = _weighted(shapes, lights)
     shining = bool(lights) or any(shape.emitter for shape in shapes.values())
     if not shining and world.file is None:
         raise InputError(
@@ -197,6 +198,8 @@ def _surfaces(
 
 def material(surface: Surface, effects: list[Effect]) -> Node:
     """The BSDF of a surface under those effects."""
+    if surface.material is not None:
+        return surface.material
     reflectance: object = rgb(surface.color)
     for effect in effects:
         reflectance = effect.reflectance(surface, reflectance)
@@ -219,6 +222,8 @@ def _lamps(
             node = effect.emitter(lamp, node) if node else None
         if node is None:
             continue
+        if lamp.emission is not None and node.plugin == "area":
+            node = lamp.emission
         group = lamp.group if lamp.group in motions else ""
         if node.plugin == "area":
             shapes[f"lamp{index}"] = Shape(mesh=lamp.mesh, material="", emitter=node, group=group)
@@ -227,6 +232,44 @@ def _lamps(
             if group:
                 groups[f"lamp{index}"] = group
     return lights, groups
+
+
+def _weighted(
+    shapes: dict[str, Shape], lights: dict[str, Node]
+) -> tuple[dict[str, Shape], dict[str, Node]]:
+    """The emitters with weights by which samples choose among them: root of the power.
+
+    Light from infinity has no power that says how much of it comes in: a sky weighs as much as all
+    lamps together, a sun half of that. Without weights each screen is asked as often as the sun.
+    """
+    power = {
+        name: float(np.mean(_radiance(shape.emitter))) * shape.mesh.area() * np.pi
+        for name, shape in shapes.items() if shape.emitter
+    }  # fmt: skip
+    for name, node in lights.items():
+        if node.plugin == "point":
+            power[name] = 4 * np.pi * float(np.mean(node.params["intensity"]["value"]))
+    roots = {name: max(value, 1e-6) ** 0.5 for name, value in power.items()}
+    total = sum(roots.values()) or 1.0
+    weights = {name: max(root / total, 0.01) for name, root in roots.items()}
+    weights |= {n: 1.0 if node.plugin == "envmap" else 0.5
+                for n, node in lights.items() if n not in weights}  # fmt: skip
+    return (
+        {name: replace(shape, emitter=_with_weight(shape.emitter, weights[name]))
+         if shape.emitter else shape for name, shape in shapes.items()},
+        {name: _with_weight(node, weights[name]) for name, node in lights.items()},
+    )  # fmt: skip
+
+
+def _with_weight(node: Node, weight: float) -> Node:
+    return replace(node, params={**node.params, "sampling_weight": weight})
+
+
+def _radiance(node: Node) -> np.ndarray:
+    value = node.params["radiance"]
+    if isinstance(value, Node):
+        return np.asarray(value.params.get("bitmap", 0.5))
+    return np.asarray(value["value"])
 
 
 def point_light(lamp: Lamp) -> Node:

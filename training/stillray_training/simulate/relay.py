@@ -14,13 +14,56 @@ from typing import Any
 
 import numpy as np
 
-from stillray_training.simulate.plan import REFERENCE_ROULETTE
+from stillray_training.simulate.plan import REFERENCE_ROULETTE, ROULETTE
 from stillray_training.simulate.stage import Stage
 
 _TURNS = 64  # samples that a lane takes: with 16 a room took 1.03 times as long, with 4 1.07 times
 
 
-def relay_radiance(stage: Stage, sensor: Any, spp: int, seed: int, most: int) -> np.ndarray:
+def path_radiance(
+    stage: Stage, sampler: Any, ray: Any, weight: Any, clamp: float | None = None
+) -> Any:
+    """Radiance of camera samples, one path for each lane, for JIT variants.
+
+    Parameters
+    ----------
+    stage
+        Posed and aimed, without a medium.
+    sampler
+        Seeded for as many lanes as there are rays.
+    ray, weight
+        Camera rays and what their radiance is multiplied by.
+    clamp
+        See `relay_radiance`.
+
+    Returns
+    -------
+    mi.Color3f
+        What a sample adds that is not finite counts as 0.
+    """
+    import drjit as dr
+
+    mi = stage.mi
+    count, bound = dr.width(ray), _bound(mi, clamp)
+    state = {
+        "sampler": sampler,
+        "alive": mi.Bool(True),
+        "total": dr.zeros(mi.Color3f, count),
+        **_begun(mi, ray, weight),
+        "before": dr.zeros(mi.Point3f, count),
+    }
+
+    def step(state: dict[str, Any]) -> tuple[dict[str, Any]]:
+        _vertex(stage, state, ROULETTE, bound)
+        return (state,)
+
+    (state,) = dr.while_loop((state,), lambda state: state["alive"], step, mode="symbolic")
+    return state["total"]
+
+
+def relay_radiance(
+    stage: Stage, sensor: Any, spp: int, seed: int, most: int, clamp: float | None = None
+) -> np.ndarray:
     """Mean radiance of camera samples on surfaces and lights, for JIT variants.
 
     Parameters
@@ -35,6 +78,10 @@ def relay_radiance(stage: Stage, sensor: Any, spp: int, seed: int, most: int) ->
         The same seed gives the same pixels.
     most
         Lanes that may be side by side, which bounds the memory; a pixel has one at least.
+    clamp
+        Radiance that one contribution of indirect light (from the second bounce on) may have in
+        its brightest channel: brighter ones are scaled down to it, as production renderers do.
+        None: any.
 
     Returns
     -------
@@ -51,6 +98,10 @@ def relay_radiance(stage: Stage, sensor: Any, spp: int, seed: int, most: int) ->
     sampler.seed(seed, count)
     # opaque: another count must not compile another kernel
     share, samples = dr.opaque(mi.UInt32, lanes), dr.opaque(mi.UInt32, spp)
+    bound = _bound(mi, clamp)
+    # Roulette makes what survives brighter, so that a bound takes more of it: frames and references
+    # end paths alike where there is one, or references would be darker.
+    first_roulette = REFERENCE_ROULETTE if clamp is None else ROULETTE
     lane = dr.arange(mi.UInt32, count)
     number = lane // share
     row = number // width
@@ -72,7 +123,7 @@ def relay_radiance(stage: Stage, sensor: Any, spp: int, seed: int, most: int) ->
 
     def step(state: dict[str, Any]) -> tuple[dict[str, Any]]:
         _start(stage, sensor, corner / mi.Vector2f(width, height), (width, height), state)
-        _vertex(stage, state)
+        _vertex(stage, state, first_roulette, bound)
         return (state,)
 
     (state,) = dr.while_loop(
@@ -98,20 +149,24 @@ def _start(
     place = corner + inside / mi.Vector2f(*size)
     lens = sampler.next_2d(fresh) if sensor.needs_aperture_sample() else mi.Point2f(0.5, 0.5)
     ray, weight = sensor.sample_ray(0.0, 0.5, place, lens, fresh)
-    begin = {
+    begin = {**_begun(mi, ray, weight), "left": state["left"] - 1}
+    for name, value in begin.items():
+        state[name] = dr.select(fresh, value, state[name])
+
+
+def _begun(mi: Any, ray: Any, weight: Any) -> dict[str, Any]:
+    """A path at the camera."""
+    return {
         "ray": mi.Ray3f(ray),
         "throughput": mi.Color3f(weight),
         "depth": mi.UInt32(0),
         "eta": mi.Float(1),
         "pdf": mi.Float(1),
         "smooth": mi.Bool(True),  # no light was drawn at the camera: what it sees counts in full
-        "left": state["left"] - 1,
     }
-    for name, value in begin.items():
-        state[name] = dr.select(fresh, value, state[name])
 
 
-def _vertex(stage: Stage, state: dict[str, Any]) -> None:
+def _vertex(stage: Stage, state: dict[str, Any], first_roulette: int, bound: Any) -> None:
     """Add what the next vertex shines and what a light sends over it, and draw a way on."""
     import drjit as dr
 
@@ -119,8 +174,8 @@ def _vertex(stage: Stage, state: dict[str, Any]) -> None:
     longest = int(stage.plan.integrator.params["max_depth"])
     throughput, smooth = state["throughput"], state["smooth"]
     flags = mi.RayFlags.UV | mi.RayFlags.ShadingFrame
-    if stage.plan.world.file:
-        flags = mi.RayFlags.All  # files may have bumps, and lobes longer than wide
+    if stage.plan.world.file or stage.bent:
+        flags = mi.RayFlags.All  # bumps, and lobes longer than wide, which files may have
     si = scene.ray_intersect(state["ray"], flags, mi.Bool(False), mi.Bool(True))
     # a light that was hit, which could have been drawn from the vertex before too
     before = dr.zeros(mi.Interaction3f)
@@ -131,6 +186,9 @@ def _vertex(stage: Stage, state: dict[str, Any]) -> None:
     drawn = scene.pdf_emitter_direction(before, seen, shines & ~smooth)
     weight = dr.select(smooth, 1, _power(state["pdf"], drawn))
     gain = throughput * emitter.eval(si, shines & (state["pdf"] > 0)) * weight
+    if bound is not None:
+        # what the camera sees, and lights found by the first bounce, are direct light
+        gain = dr.select(state["depth"] > 1, clamped(gain, bound), gain)
     # a light that is drawn
     further = si.is_valid() & (state["depth"] + 1 < longest)
     bsdf = si.bsdf()
@@ -148,6 +206,8 @@ def _vertex(stage: Stage, state: dict[str, Any]) -> None:
     sent = throughput * value * radiance * weight
     lit &= (light.pdf != 0) & (dr.max(sent) > 0)
     lit &= ~scene.ray_test(si.spawn_ray_to(light.p), lit)
+    if bound is not None:
+        sent = dr.select(state["depth"] > 0, clamped(sent, bound), sent)
     gain += dr.select(lit, sent, 0)
     state["total"] += dr.select(dr.isfinite(dr.sum(gain)), gain, 0)
     # the way on
@@ -156,13 +216,27 @@ def _vertex(stage: Stage, state: dict[str, Any]) -> None:
     state["eta"] *= way.eta
     brightest = dr.max(throughput)
     chance = dr.minimum(brightest * dr.square(state["eta"]), 0.95)
-    roulette = state["depth"] >= REFERENCE_ROULETTE
+    roulette = state["depth"] >= first_roulette
     survives = sampler.next_1d(further) < chance
     state["throughput"] = dr.select(roulette, throughput / chance, throughput)
     state["alive"] = further & (brightest != 0) & (~roulette | survives)
     state["ray"] = si.spawn_ray(si.to_world(way.wo))
     state["before"], state["pdf"] = si.p, way.pdf
     state["smooth"] = mi.has_flag(way.sampled_type, mi.BSDFFlags.Delta)
+
+
+def _bound(mi: Any, clamp: float | None) -> Any:
+    """A clamp as the loops take it: opaque, so that another one compiles no other kernel."""
+    import drjit as dr
+
+    return None if clamp is None else dr.opaque(mi.Float, clamp)
+
+
+def clamped(light: Any, bound: Any) -> Any:
+    """Light scaled down to where its brightest channel is ``bound``."""
+    import drjit as dr
+
+    return light * dr.minimum(1, bound / dr.maximum(dr.max(light), 1e-30))
 
 
 def _power(own: Any, other: Any) -> Any:

@@ -9,11 +9,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
+from stillray.compare.display import DISPLAY_MEDIAN
 from stillray.errors import InputError
 from stillray.io.exr.read_write import atomic_path, write_channels
 from stillray_training.simulate import buffers
+from stillray_training.simulate.assets import Library
 from stillray_training.simulate.camera import Camera, look_at
 from stillray_training.simulate.generators import GENERATORS, generate
 from stillray_training.simulate.paths import MOVES, CameraPath, camera_path, recorded_path
@@ -23,6 +26,7 @@ from stillray_training.simulate.viewpoint import find_path, require_open
 from stillray_training.simulate.world import World
 from stillray_training.simulate.xml_scene import open_xml
 
+_PREVIEW_SPP = 4
 _STALE = 600.0  # seconds after which an unfinished file belongs to a run that was killed
 RECORD = "sequence.json"  # written last: a sequence without it is not finished
 _LAYERS = {
@@ -50,6 +54,10 @@ class SequenceOptions:
     width: int = 256  # pixels, 1 or more
     spp: int = 1  # samples a pixel of the noisy frames, 1 or more
     reference_spp: int = 256  # samples a pixel of the references, 1 or more
+    blocks: tuple[int, ...] = ()  # samples of further, independent blocks of the last frame
+    # Bounds between which what one contribution of indirect light may have is drawn, as production
+    # renderers limit it: times what a display shows as white. None: any.
+    clamp: tuple[float, float] | None = None
     references: int = 1  # the last so many frames have a reference, 0 to frames
     depth: int | None = None  # path vertices, 1 or more; None: what the effects ask for
     reference_scale: int = 1  # references are so many times as wide and high: 1 or 2
@@ -62,12 +70,17 @@ class SequenceOptions:
     target: tuple[float, float, float] | None = None  # what the camera at origin looks at
     fov: float = 60.0  # horizontal field of view of the camera at origin, degrees, 1 to 170
     cameras: str | None = None  # JSON file of a camera a frame, see `paths.recorded_path`
+    assets: str | None = None  # folder of objects that some generators place, see `assets`
     seed: int = 0  # 0 or more
 
     def __post_init__(self) -> None:
         for name in ("frames", "height", "width", "spp", "reference_spp"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be 1 or more, got {getattr(self, name)}")
+        if any(count < 1 for count in self.blocks):
+            raise InputError(f"blocks must be of 1 sample or more, got {self.blocks}")
+        if self.clamp is not None and not 0 < self.clamp[0] <= self.clamp[-1]:
+            raise InputError(f"clamp must be two bounds above 0, got {self.clamp}")
         for name in ("speed", "seed"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} must be 0 or more, got {getattr(self, name)}")
@@ -100,8 +113,10 @@ class SequenceOptions:
         )
 
 
-def open_world(mi: Any, name: str, seed: int) -> World:
+def open_world(mi: Any, name: str, seed: int, assets: str | None = None) -> World:
     """A scene by name: one of the generators, or the path of a Mitsuba XML file.
+
+    ``assets`` is a folder of objects for generators that place some; None: they build their own.
 
     Raises
     ------
@@ -109,7 +124,7 @@ def open_world(mi: Any, name: str, seed: int) -> World:
         There is no such generator or file, or Mitsuba cannot read it.
     """
     if name in GENERATORS:
-        return generate(name, seed)
+        return generate(name, seed, Library(Path(assets)) if assets else None)
     path = Path(name)
     if not path.is_file():
         known = ", ".join(GENERATORS)
@@ -121,7 +136,7 @@ def plan_scene(
     mi: Any, name: str, seed: int, effects: Iterable[str] | None, options: SequenceOptions
 ) -> Plan:
     """Open a scene and decide what is simulated in it; see `make_plan`."""
-    return make_plan(open_world(mi, name, seed), effects, options.wants())
+    return make_plan(open_world(mi, name, seed, options.assets), effects, options.wants())
 
 
 def is_complete(folder: Path) -> bool:
@@ -170,8 +185,12 @@ def render_sequence(
     folder.mkdir(parents=True, exist_ok=True)
     _sweep(folder)
     jitters = [_jitter(frame) if options.jitter else np.zeros(2) for frame in range(options.frames)]
+    last = buffers.Moment(frame=options.frames - 1, path=path, focus=focus, jitter=np.zeros(2))
+    clamp = _clamp(stage, options, last)
     for frame in range(options.first, options.frames):
-        moment = buffers.Moment(frame=frame, path=path, focus=focus, jitter=jitters[frame])
+        moment = buffers.Moment(
+            frame=frame, path=path, focus=focus, jitter=jitters[frame], clamp=clamp
+        )
         _render_frame(stage, folder, options, moment)
         on_frame()
     record = {
@@ -181,7 +200,9 @@ def render_sequence(
         "integrator": {"plugin": stage.plan.integrator.plugin, **stage.plan.integrator.params},
         "move": move,
         "moving": stage.groups,
+        "assets": [asdict(credit) for credit in stage.plan.world.credits],
         "shutter": stage.plan.shutter,
+        "clamp": clamp,
         "options": asdict(options),
         "cameras": [
             {
@@ -218,18 +239,38 @@ def _render_frame(
     stage: Stage, folder: Path, options: SequenceOptions, moment: buffers.Moment
 ) -> None:
     # launches take consecutive seeds, and Mitsuba's are of 32 bits
-    seeds = np.random.SeedSequence([options.seed, moment.frame]).generate_state(3) >> 1
-    noisy, second, exact = (int(seed) for seed in seeds)
+    is_last = moment.frame == options.frames - 1
+    extra = options.blocks if is_last else ()
+    states = np.random.SeedSequence([options.seed, moment.frame]).generate_state(3 + len(extra))
+    seeds = states >> 1
+    noisy, second, exact, *others = (int(seed) for seed in seeds)
     target = folder / f"frame_{moment.frame:04d}.exr"
     if not target.is_file():
         layers = buffers.render_noisy(stage, moment, spp=options.spp, seed=noisy)
         if options.second_color:
             layers["color_b"] = buffers.render_second(stage, moment, spp=options.spp, seed=second)
         write(target, layers)
+    for index, (spp, seed) in enumerate(zip(extra, others, strict=True)):
+        target = folder / f"block_{moment.frame:04d}_{index:02d}.exr"
+        if not target.is_file():
+            write(target, buffers.render_noisy(stage, moment, spp=spp, seed=seed))
     target = folder / f"ref_{moment.frame:04d}.exr"
     if moment.frame >= options.frames - options.references and not target.is_file():
         reference = buffers.render_reference(stage, moment, spp=options.reference_spp, seed=exact)
         write(target, {"color": reference})
+
+
+def _clamp(stage: Stage, options: SequenceOptions, moment: buffers.Moment) -> float | None:
+    """Radiance that one contribution of indirect light may have."""
+    if options.clamp is None:
+        return None
+    low, high = options.clamp
+    drawn = np.random.default_rng([options.seed, 78]).uniform(np.log(low), np.log(high))
+    seen = buffers.render_noisy(stage, moment, spp=_PREVIEW_SPP, seed=options.seed)["color"]
+    # a preview of few samples is made of fireflies: blocks of pixels tell what is usual
+    light = cv2.resize(seen.mean(axis=-1), None, fx=1 / 8, fy=1 / 8, interpolation=cv2.INTER_AREA)
+    lit = light[light > 0]
+    return float(np.exp(drawn) / DISPLAY_MEDIAN * np.median(lit)) if lit.size else None
 
 
 def write(path: Path, layers: dict[str, np.ndarray]) -> None:

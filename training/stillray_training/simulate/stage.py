@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from stillray_training.simulate.assets import ASSET
 from stillray_training.simulate.camera import Camera
 from stillray_training.simulate.mesh import Mesh
 from stillray_training.simulate.node import Node, to_mitsuba
 from stillray_training.simulate.plan import REFERENCE_ROULETTE, Plan
+from stillray_training.simulate.shading_normal import bent_shapes
 
 HULL = "medium_hull"  # the cube that holds a medium
 _HULL_MARGIN = 0.5  # of the scene's extent, on every side
@@ -35,6 +37,8 @@ class Stage:
         What moves; a group's place in it plus 1 is its object index, 0 is what stands still.
     movers : list of (Mitsuba shape, int)
         Mitsuba shapes that move, and their object index.
+    bent : list of BentShape
+        Shapes whose material bends their normals.
     """
 
     def __init__(self, mi: Any, plan: Plan, height: int, width: int) -> None:
@@ -49,6 +53,7 @@ class Stage:
         if self.medium is not None:
             objects[HULL] = self._hull(self.medium)
         self.scene = mi.load_dict({"type": "scene", **objects})
+        self.bent = bent_shapes(mi, self.scene.shapes())
         self.integrator = mi.load_dict(to_mitsuba(mi, plan.integrator))
         self.reference_integrator = mi.load_dict(
             {**to_mitsuba(mi, plan.integrator), "rr_depth": REFERENCE_ROULETTE}
@@ -117,8 +122,11 @@ class Stage:
         table = []
         for shape in self.scene.shapes():
             planned = self.plan.shapes.get(shape.id())
-            if planned is not None and planned.material:
-                value = _alpha(self.plan.materials[planned.material])
+            node = self.plan.materials[planned.material] if planned and planned.material else None
+            if node is not None and node.asked_by == ASSET:
+                value = _file_alpha(self.mi, shape.bsdf())
+            elif node is not None:
+                value = _alpha(node)
             else:
                 value = 1.0 if planned is not None else _file_alpha(self.mi, shape.bsdf())
             if isinstance(value, Node):

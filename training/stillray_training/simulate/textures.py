@@ -9,7 +9,8 @@ import numpy as np
 
 KINDS = (
     "checker", "planks", "wood", "marble", "noise", "tiles", "brick", "weave", "stripes", "print",
-    "painting", "terrazzo",
+    "painting", "terrazzo", "parquet", "plaid", "damask", "carpet", "plaster", "panels", "moulding",
+    "ribs", "quilt", "louvres", "scenery",
 )  # fmt: skip
 _FONTS = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_COMPLEX, cv2.FONT_HERSHEY_TRIPLEX)
 
@@ -33,8 +34,33 @@ class Texture:
         """``(pixels, pixels, 3)`` float32 reflectances, linear."""
         if self.kind == "painting":
             return painting(np.random.default_rng(self.seed), self.pixels)
+        if self.kind == "scenery":
+            return scenery(np.random.default_rng(self.seed), self.pixels)
         low, high = np.array(self.low, np.float32), np.array(self.high, np.float32)
         return low + (high - low) * self.pattern()[..., None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relief:
+    """Heights that only normals show: those of a picture's pattern.
+
+    With the ``Texture`` that is a surface's reflectance the two lie on one another: joints are dark
+    and deep.
+    """
+
+    picture: Texture  # its pattern: 0 lies ``depth`` below 1
+    depth: float = 0.002  # metres, above 0
+    bevel: float = 1.2  # Gaussian that rounds the edges, standard deviation in pixels
+
+    def normals(self) -> np.ndarray:
+        """``(pixels, pixels, 3)`` float32: x right, y up, z out, each as (n + 1) / 2."""
+        height = cv2.GaussianBlur(self.picture.pattern(), (0, 0), self.bevel) * self.depth
+        step = 2 * self.picture.size / self.picture.pixels
+        slope_x = (np.roll(height, -1, axis=1) - np.roll(height, 1, axis=1)) / step
+        slope_y = (np.roll(height, 1, axis=0) - np.roll(height, -1, axis=0)) / step
+        normal = np.stack([-slope_x, -slope_y, np.ones_like(height)], axis=-1)
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        return np.asarray((normal + 1) / 2, np.float32)
 
 
 def pattern(kind: str, rng: np.random.Generator, size: int = 256) -> np.ndarray:
@@ -80,12 +106,125 @@ def pattern(kind: str, rng: np.random.Generator, size: int = 256) -> np.ndarray:
         edges = np.sort(rng.random(int(rng.integers(4, 24))))
         band = np.searchsorted(edges, column[0])
         plane = np.broadcast_to(rng.random(len(edges) + 1)[band], (size, size)) + 0.1 * fine
+    elif kind == "scenery":
+        plane = scenery(rng, size).mean(axis=-1)
     elif kind in ("print", "painting"):
         plane = _print(rng, size)
+    elif kind in _FURTHER:
+        plane = _FURTHER[kind](rng, row, column)
     else:
         raise ValueError(kind)
     low, high = float(plane.min()), float(plane.max())
     return np.asarray((plane - low) / max(high - low, 1e-6), np.float32)
+
+
+def _parquet(rng: np.random.Generator, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Squares of staves that lie across and along in turn."""
+    n, staves = int(rng.integers(2, 5)), int(rng.integers(3, 6))
+    across = ((row * n).astype(int) + (column * n).astype(int)) % 2 > 0
+    along, over = np.where(across, row, column) * n % 1, np.where(across, column, row) * n % 1
+    stave = (over * staves).astype(int)
+    cell = ((row * n).astype(int) * n + (column * n).astype(int)) * staves + stave
+    size = len(row)
+    grain = noise(rng, size, size // 3)
+    fibre = np.where(
+        across, cv2.blur(grain, (1, size // 16 | 1)), cv2.blur(grain, (size // 16 | 1, 1))
+    )
+    seam = (over * staves % 1 < 0.06) | (along < 0.015)
+    tone = 0.35 + 0.35 * rng.random(n * n * staves)[np.minimum(cell, n * n * staves - 1)]
+    return np.where(seam, 0, tone + 0.8 * (fibre - 0.5))
+
+
+def _plaid(rng: np.random.Generator, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Bands that cross, in a twill."""
+    n = int(rng.integers(2, 5))
+    edges, tone = np.sort(rng.random(6)), rng.random(7)
+    bands = tone[np.searchsorted(edges, row * n % 1)] + tone[np.searchsorted(edges, column * n % 1)]
+    return bands + 0.25 * (((row + column) * 96).astype(int) % 2)
+
+
+def _damask(rng: np.random.Generator, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """A mirrored ornament that repeats, as wallpapers and brocades show."""
+    n, size = int(rng.integers(2, 7)), len(row)
+    tile = noise(rng, size, 12)
+    u, v = np.abs(column * n % 1 - 0.5) * 2, (row * n + 0.5 * ((column * n).astype(int) % 2)) % 1
+    ornament = tile[(v * (size - 1)).astype(int) // 2, (u * (size - 1)).astype(int) // 2]
+    level = np.quantile(ornament, rng.uniform(0.4, 0.7))
+    return (ornament > level) + 0.5 * (np.abs(ornament - level) < 0.03)
+
+
+def _carpet(rng: np.random.Generator, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Pile: fine tufts, trodden in soft patches."""
+    size = len(row)
+    return (
+        noise(rng, size, size // 2) + 0.5 * noise(rng, size, size // 6) + 0.4 * noise(rng, size, 6)
+    )
+
+
+def _plaster(rng: np.random.Generator, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Trowelled plaster: flat ridges in all ways, few fine grains."""
+    size = len(row)
+    turn = np.abs(noise(rng, size, 9) - 0.5) + np.abs(noise(rng, size, 17) - 0.5)
+    return -turn + 0.5 * noise(rng, size, 40) + 0.15 * noise(rng, size, size // 3)
+
+
+def _panels(rng: np.random.Generator, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Raised panels in a frame: doors, wainscots."""
+    rows, columns = int(rng.integers(1, 4)), int(rng.integers(1, 3))
+    edge = _edge_distance(
+        row * rows % 1, column * columns % 1, rows, columns, rng.uniform(0.05, 0.1)
+    )
+    groove = rng.uniform(0.012, 0.025)
+    rise = np.clip((edge - groove) / (2 * groove), 0, 1)
+    return np.where(edge < 0, 1, np.where(edge < groove, 0, 0.85 * rise * rise * (3 - 2 * rise)))
+
+
+def _moulding(rng: np.random.Generator, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Thin raised frames on a flat wall."""
+    edge = _edge_distance(row, column, 1, 1, rng.uniform(0.06, 0.12))
+    width = rng.uniform(0.015, 0.035)
+    bead = np.sin(np.pi * np.clip(edge / width, 0, 1))
+    return bead + 0.5 * np.sin(np.pi * np.clip((edge - 0.4 * width) / (0.3 * width), 0, 1))
+
+
+def _edge_distance(
+    row: np.ndarray, column: np.ndarray, rows: int, columns: int, margin: float
+) -> np.ndarray:
+    """Distance into a panel from the inner edge of its frame, parts of the picture; < 0 on it."""
+    down = np.minimum(row, 1 - row) / rows
+    across = np.minimum(column, 1 - column) / columns
+    return np.minimum(down, across) - margin / max(rows, columns)
+
+
+def _ribs(rng: np.random.Generator, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Upright boards or flutes with a groove between them."""
+    n = int(rng.integers(6, 20))
+    along = column * n % 1
+    if rng.random() < 0.5:
+        return np.sqrt(np.clip(1 - (2 * along - 1) ** 2, 0, 1)) + 0 * row
+    return np.clip(np.minimum(along, 1 - along) / 0.06, 0, 1) + 0 * row
+
+
+def _quilt(rng: np.random.Generator, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Tufts between crossing seams: leather, mattresses."""
+    n = int(rng.integers(4, 12))
+    u, v = (row + column) * n % 1, (row - column) * n % 1
+    return np.sqrt(np.sin(np.pi * u) * np.sin(np.pi * v)) + 0.03 * noise(
+        rng, len(row), len(row) // 4
+    )
+
+
+def _louvres(rng: np.random.Generator, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Slanting slats in a frame."""
+    n = int(rng.integers(12, 30))
+    inside = (np.minimum(column, 1 - column) > 0.08) & (np.minimum(row, 1 - row) > 0.05)
+    return np.where(inside, 0.9 * (row * n % 1), 1)
+
+
+_FURTHER = {
+    "parquet": _parquet, "plaid": _plaid, "damask": _damask, "carpet": _carpet, "plaster": _plaster,
+    "panels": _panels, "moulding": _moulding, "ribs": _ribs, "quilt": _quilt, "louvres": _louvres,
+}  # fmt: skip
 
 
 def _print(rng: np.random.Generator, size: int) -> np.ndarray:
@@ -127,6 +266,28 @@ def painting(rng: np.random.Generator, size: int) -> np.ndarray:
             cv2.ellipse(canvas, (x, y), axes, turn, 0, 360, color, -1, cv2.LINE_AA)
     grain = noise(rng, size, size // 4)[..., None]
     return np.clip(canvas * (0.8 + 0.4 * grain), 0.02, 0.95)
+
+
+def scenery(rng: np.random.Generator, size: int) -> np.ndarray:
+    """``(size, size, 3)`` float32: hills under a sky, in haze, as photographs on walls show."""
+    row = np.mgrid[0:size, 0:size][0].astype(np.float32) / size
+    sky_tone, land = rng.uniform(0.4, 0.85, 3), rng.uniform(0.05, 0.4, 3) * [1.0, 1.05, 0.8]
+    clouds = sum(noise(rng, size, 5 * 2**i) / 2**i for i in range(5))[..., None]
+    image = sky_tone * (0.75 + 0.25 * row[..., None]) + 0.12 * (clouds - 1)
+    ridges = int(rng.integers(2, 6))
+    for index in range(ridges):
+        near = (index + 1) / ridges
+        crest = noise(rng, size, int(rng.integers(3, 8)))[0] + 0.25 * noise(rng, size, size // 8)[0]
+        line = 0.35 + 0.5 * near - 0.22 * crest
+        rough = 0.7 + 0.6 * noise(rng, size, size // 6)[..., None]
+        tone = (land * near + sky_tone * (1 - near) * 0.8) * rough
+        image = np.where((row > line[None])[..., None], tone, image)
+    border = rng.random() < 0.4  # a passe-partout
+    if border:
+        edge = np.minimum(row, 1 - row)
+        inside = np.minimum(edge, edge.T) > 0.12
+        image = np.where(inside[..., None], image, 0.75)
+    return np.clip(image, 0.02, 0.9).astype(np.float32)
 
 
 def noise(rng: np.random.Generator, size: int, cells: int) -> np.ndarray:

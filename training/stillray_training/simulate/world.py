@@ -15,7 +15,8 @@ import numpy as np
 
 from stillray_training.simulate.camera import Camera
 from stillray_training.simulate.mesh import Mesh
-from stillray_training.simulate.textures import Texture
+from stillray_training.simulate.node import Node
+from stillray_training.simulate.textures import Relief, Texture
 
 Color = tuple[float, float, float]
 # The pose of a rigid body: time in frames to a (4, 4) world transform relative to where it stands.
@@ -33,6 +34,8 @@ class Surface:
     metal: bool = False  # glossy: a conductor
     special: str | None = None  # "mirror", "glass" or "pane"; read by the effect mirror_glass
     two_sided: bool = False  # thin: seen and lit from both sides
+    relief: Relief | None = None  # a normal map; read by the effect relief
+    material: Node | None = None  # an asset's own material: stands for all the above but color
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,6 +57,7 @@ class Lamp:
     group: str = ""
     window: bool = False  # stands for the sky in a window: dark where a real sky is asked for
     around: bool = False  # closed body that shines all around, not a panel
+    emission: Node | None = None  # an asset's own picture of radiances: in place of radiance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +95,17 @@ class Lens:
     focus: float = 1.0  # focus distance as a fraction of the distance looked at, above 0
 
 
+@dataclass(frozen=True, kw_only=True)
+class Credit:
+    """Who made an asset, and on what terms it may be used."""
+
+    name: str
+    title: str
+    author: str
+    licence: str
+    source: str
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class File:
     """A Mitsuba XML file as a part of a world."""
@@ -120,6 +135,7 @@ class World:
     home: Camera | None = None  # cameras are drawn around this one in place of the boxes
     effects: tuple[str, ...] = ()  # what the scene calls for by name
     file: File | None = None  # a Mitsuba XML file that all the above is added to
+    credits: tuple[Credit, ...] = ()  # of the assets that stand in it
 
     def pieces_of(self, group: str) -> list[Piece]:
         """The pieces that move together under that name."""

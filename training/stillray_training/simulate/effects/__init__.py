@@ -13,6 +13,7 @@ from stillray_training.simulate.effects.medium import Medium
 from stillray_training.simulate.effects.mirror_glass import MirrorGlass
 from stillray_training.simulate.effects.motion_blur import MotionBlur
 from stillray_training.simulate.effects.moving import MovingLight, MovingObject
+from stillray_training.simulate.effects.relief import Relief
 from stillray_training.simulate.effects.soft_shadow import SoftShadow
 from stillray_training.simulate.effects.sun import SunLight
 from stillray_training.simulate.effects.texture import Texture
@@ -32,6 +33,7 @@ EFFECTS: dict[str, Effect] = {
         DepthOfField(),
         MotionBlur(),
         Medium(),
+        Relief(),  # last: it goes around whatever material the others have made
     )
 }
 

@@ -217,6 +217,10 @@ class Builder:
         self.spots.append(Spot(group=group, centre=at[:3, 3].copy(), kind=kind))
         return group
 
+    def stand_in(self, kind: str, at: np.ndarray, size: Sequence[float] | None = None) -> bool:
+        """Put something else where a generator would build that kind of thing; False: nothing."""
+        return False
+
     def place(
         self, low: Sequence[float], high: Sequence[float], radius: float
     ) -> tuple[float, float] | None:

@@ -17,6 +17,7 @@ ODDS = {
     "texture": 0.96, "glossy": 0.9, "soft_shadow": 0.97, "mirror_glass": 0.6,
     "environment": 1.0, "sun": 0.8, "moving_light": 0.15, "moving_object": 0.3,
     "depth_of_field": 0.2, "motion_blur": 0.12, "medium": 0.1,
+    "relief": 0.95,
 }  # fmt: skip
 
 

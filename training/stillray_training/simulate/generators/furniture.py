@@ -26,6 +26,9 @@ def table(
     b: Builder, at: np.ndarray, width: float, depth: float, height: float, clutter: int
 ) -> None:
     """A table in one of several designs, with things on it; its middle is at the origin."""
+    if b.stand_in("table", at, [width, height, depth]):
+        things(b, at @ lift(0, height + 0.004, 0), width, depth, clutter)
+        return
     group = b.can_move(f"table{len(b.spots)}", at, "floor")
     top = b.pick("slab", "round", "glass", p=[0.65, 0.2, 0.15])
     wood, legs = b.wood(second=b.chance(0.4)), b.metal() if b.chance(0.35) else b.wood()
@@ -71,6 +74,8 @@ def _leg(b: Builder, foot: np.ndarray, head: np.ndarray) -> Mesh:
 
 def chair(b: Builder, at: np.ndarray) -> None:
     """A chair: frame of rods or slats, seat, back with bars."""
+    if b.stand_in("chair", at):
+        return
     group = b.can_move(f"chair{len(b.spots)}", at, "floor")
     w, d, seat, back = b.between(0.38, 0.46), b.between(0.38, 0.45), 0.45, b.between(0.8, 1.05)
     frame = b.metal() if b.chance(0.3) else b.wood(second=b.chance(0.5))
@@ -102,6 +107,8 @@ def chair(b: Builder, at: np.ndarray) -> None:
 
 def sofa(b: Builder, at: np.ndarray, width: float) -> None:
     """A sofa or, if narrow, an armchair, with cushions."""
+    if b.stand_in("sofa" if width > 1.4 else "armchair", at):
+        return
     group = b.can_move(f"sofa{len(b.spots)}", at, "floor")
     cloth = b.fabric() if b.chance(0.75) else b.plain(gloss=0.9)
     d, seat, back, arm = b.between(0.8, 0.95), 0.4, b.between(0.7, 0.9), b.between(0.12, 0.22)
@@ -167,6 +174,8 @@ def bed(b: Builder, at: np.ndarray, width: float) -> None:
 
 def shelf(b: Builder, at: np.ndarray, width: float, height: float) -> None:
     """An open shelf full of books and things."""
+    if b.stand_in("shelf", at, [width, height, 0.4]):
+        return
     depth, thick = b.between(0.24, 0.34), b.between(0.015, 0.03)
     wood = b.wood(second=b.chance(0.3))
     sides = [
@@ -190,6 +199,9 @@ def cabinet(
     b: Builder, at: np.ndarray, width: float, height: float, depth: float, *, clutter: int = 0
 ) -> None:
     """Doors and drawers with handles; clutter stands on top."""
+    if b.stand_in("cabinet", at, [width, height, depth]):
+        things(b, at @ lift(0, height, depth / 2), width, depth, clutter)
+        return
     body = b.wood(second=b.chance(0.5)) if b.chance(0.6) else b.plain(gloss=0.5)
     handle = b.metal()
     b.block([0, height / 2, depth / 2], [width, height, depth], body, at=at)

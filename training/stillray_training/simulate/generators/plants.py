@@ -11,6 +11,8 @@ from stillray_training.simulate.world import Surface
 
 def plant(b: Builder, at: np.ndarray, height: float, group: str = "") -> None:
     """A plant in a pot, ``height`` metres of leaves above it."""
+    if b.stand_in("plant", at, [0.36 * height, height, 0.36 * height]):
+        return
     r = height * b.between(0.15, 0.3)
     profile = [
         (0, 0),

@@ -44,7 +44,7 @@ def room(seed: int) -> World:
     sides = walls(size)
     _windows(b, sides, kind)
     _surfaces(b, sides, size, kind)
-    _FURNISH[kind](b, sides, size)
+    FURNISH[kind](b, sides, size)
     _walls_decor(b, sides, kind)
     _ceiling_lights(b, size, kind)
     if b.chance(0.15):
@@ -382,7 +382,7 @@ def _ceiling_lights(b: Builder, size: np.ndarray, kind: str) -> None:
         lamps.spots(b, lift(0, y, b.between(-0.4, 0.4)), 0.6 * size[0], power)
 
 
-_FURNISH = {
+FURNISH = {
     "living": _living,
     "bedroom": _bedroom,
     "kitchen": _kitchen,

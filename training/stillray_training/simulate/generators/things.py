@@ -31,6 +31,8 @@ KINDS = (
 
 def thing(b: Builder, at: np.ndarray, *, scale: float = 1.0, kind: str | None = None) -> None:
     """One small thing that stands at the origin of a ``(4, 4)`` transform."""
+    if kind is None and b.stand_in("thing", at, [0.25 * scale] * 3):
+        return
     kind = kind or b.pick(*KINDS)
     size = np.diag([scale, scale, scale, 1.0])
     turned = at @ rotation([0, 1, 0], b.between(0, 360)) @ size

@@ -1,0 +1,337 @@
+"""The step that families of kernels share: accumulate the past, ask the network, filter.
+
+A family adds how its network's outputs filter what was accumulated (`TemporalKernels.reconstruct`)
+and how far that looks.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from stillray.arrays.strips import Strips
+from stillray.arrays.tiles import Tile
+from stillray.families.contract import Context, Request, State, Step, Traits
+from stillray.families.layer_filter import FilteredLayers
+from stillray.frame import Frame
+from stillray.model_spec.loader import ModelSpec
+from stillray.stages import features, previous_output
+from stillray.stages.decide import TemporalPlan, Wants, decide
+from stillray.stages.means import Means
+from stillray.stages.plan import Plan, Stage
+from stillray.stages.prepare import prepare_planned
+from stillray.stages.state import Filterable, History, Prepared
+from stillray.timing import timed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Looks:
+    """What kernels look at.
+
+    Attributes
+    ----------
+    reach
+        Pixels from which light can come to a pixel, to each side, in one frame.
+    receptive_field
+        Pixels that one output of the network looks to each side; None where a frame cannot be cut
+        into tiles, because what it is built from spans all of it.
+    alignment
+        Height and width of the network's input must be multiples of this, pixels.
+    sample
+        Whether this frame's own sample is used beside what was accumulated.
+    previous_output
+        Whether the previous output is used, and remodulation done before it is.
+    sharp
+        Whether the previous output is resampled by cubic convolution.
+    """
+
+    reach: int
+    receptive_field: int | None
+    alignment: int = 1
+    sample: bool = False
+    previous_output: bool = False
+    sharp: bool = False
+
+    @property
+    def overlap(self) -> int | None:
+        """Pixels that a pixel of the result can see, to each side, rounded up to whole blocks."""
+        if self.receptive_field is None:
+            return None
+        return -(-(self.reach + self.receptive_field) // self.alignment) * self.alignment
+
+
+class TemporalKernels(ABC):
+    """A model that filters what was accumulated by kernels that its network chose.
+
+    Parameters
+    ----------
+    spec
+        The model's specification.
+    looks
+        What the kernels look at.
+    """
+
+    def __init__(self, spec: ModelSpec, looks: Looks) -> None:
+        self.spec, self.looks, self.sharp = spec, looks, looks.sharp
+        self.traits = Traits(
+            required=frozenset(spec.inputs.required),
+            optional=frozenset(spec.inputs.optional),
+            tile_alignment=looks.alignment,
+            tile_overlap=looks.overlap,
+        )
+
+    #: What the reconstruction does, in a few words.
+    method: str
+    #: Operations and float32 planes moved by the reconstruction, a pixel.
+    cost: tuple[float, float]
+
+    @abstractmethod
+    def reconstruct(
+        self,
+        light: Filterable,
+        outputs: Sequence[np.ndarray],
+        strips: Strips,
+        timings: dict[str, float],
+    ) -> np.ndarray:
+        """The radiance ``(h, w, 3)`` of what was accumulated, filtered and remodulated.
+
+        Parameters
+        ----------
+        light
+            What is filtered.
+        outputs
+            Of the network, without their batch axis.
+        strips
+            Where the work runs.
+        timings
+            ``"reconstruct"``, and ``"modulate"`` where that is a pass of its own.
+        """
+
+    def frozen(
+        self, light: Filterable, outputs: Sequence[np.ndarray], strips: Strips
+    ) -> Sequence[np.ndarray]:
+        """Outputs by which other layers are filtered as a frame's light was.
+
+        The same, where the outputs say it all, whatever light they meet.
+        """
+        return outputs
+
+    def wants(self, request: Request) -> Wants:
+        """What is wanted of the stages before the network."""
+        return Wants(
+            temporal=request.temporal,
+            sample=self.looks.sample or bool(request.layers),
+            previous_output=self.looks.previous_output and request.temporal,
+            layers=request.layers,
+        )
+
+    def plan(
+        self, frame: Frame, before: State | Plan | None, request: Request, context: Context
+    ) -> KernelPlan:
+        """Decide what runs for a frame, and why; see `Family`."""
+        past = before.before_network if isinstance(before, KernelPlan) else history_of(before)
+        wants = self.wants(request)
+        early = decide(frame, self.spec, past, context.strips, context.timings, wants)
+        return KernelPlan(
+            stages=(*early.stages, *self._later(frame, request)),
+            before_network=early,
+            tiles=request.tiles,
+        )
+
+    def _later(self, frame: Frame, request: Request) -> list[Stage]:
+        modulates = frame.albedo is not None and not self.looks.previous_output
+        why = "albedo is given" if frame.albedo is not None else "no albedo given"
+        if frame.albedo is not None and not modulates:
+            why = "the reconstruction does it, before it resolves"
+        layers = len(request.layers)
+        remembers = request.temporal and self.looks.previous_output
+        why_remember = "the next frame looks at this one's output"
+        if not remembers:
+            why_remember = "no next frame looks at this one's output"
+        return [
+            Stage("encode", True, f"{len(self.spec.network.features)} planes for the network"),
+            Stage("network", True, self.spec.name),
+            Stage("reconstruct", True, self.method),
+            Stage("upscale", False, "the model's scale is 1"),
+            Stage("modulate", modulates, why),
+            Stage("layers", layers > 0, f"{layers} other layers" if layers else "none are given"),
+            Stage("remember", remembers, why_remember),
+        ]
+
+    def step(self, plan: Plan, context: Context) -> Step:
+        """Run a frame as it was planned; see `Family`."""
+        assert isinstance(plan, KernelPlan)
+        early = plan.before_network
+        prepared, previous = self.prepare(plan, context)
+        outputs: list[np.ndarray] = []
+        if len(plan.tiles) > 1:
+            image = self._tiled(prepared, previous, plan.tiles, context)
+        else:
+            outputs = self._outputs(prepared, previous, context)
+            light = filterable(prepared, previous)
+            image = self.reconstruct(light, outputs, context.strips, context.timings)
+        layers: FilteredLayers | None = None
+        if plan.runs("layers") and outputs:
+            layers = FilteredLayers(self, early, prepared, outputs, context)
+
+        def finish() -> State:
+            return self._remember(plan, prepared, image, layers, context)
+
+        return Step(image=image, finish=finish, filter_layer=layers)
+
+    def prepare(self, plan: KernelPlan, context: Context) -> tuple[Prepared, np.ndarray | None]:
+        """A frame as it is before the network, and the previous output at its pixels."""
+        early = plan.before_network
+        means = Means(
+            spec=self.spec,
+            strips=context.strips,
+            timings=context.timings,
+            workspace=context.workspace,
+            spare=history_of(context.spare),
+        )
+        prepared = prepare_planned(early, means)
+        if not plan.runs("recall") or early.past is None:
+            return prepared, None
+        with timed(context.timings, "recall"):
+            previous = previous_output.recalled(
+                early.past, prepared, context.strips, context.workspace, sharp=self.looks.sharp
+            )
+        return prepared, previous
+
+    def _tiled(
+        self,
+        prepared: Prepared,
+        previous: np.ndarray | None,
+        tiles: Sequence[Tile],
+        context: Context,
+    ) -> np.ndarray:
+        image = np.empty((*prepared.luminance.shape, 3), np.float32)
+        for tile in tiles:
+            past = None if previous is None else np.ascontiguousarray(previous[tile.outer])
+            part = crop(prepared, tile)
+            outputs = self._outputs(part, past, context)
+            light = filterable(part, past)
+            found = self.reconstruct(light, outputs, context.strips, context.timings)
+            image[tile.inner] = found[tile.within]
+        return image
+
+    def _outputs(
+        self, prepared: Prepared, previous: np.ndarray | None, context: Context
+    ) -> list[np.ndarray]:
+        """What the network says of a prepared frame."""
+        assert context.engine is not None
+        planes = self._encode(prepared, previous, context)
+        with timed(context.timings, "network"):
+            return list(context.engine.run("network", {"features": planes}).values())
+
+    def _encode(
+        self, prepared: Prepared, previous: np.ndarray | None, context: Context
+    ) -> np.ndarray:
+        """The network's input, ``(1, features, H, W)``, of a size that it takes."""
+        height, width = prepared.luminance.shape
+        multiple, names = self.looks.alignment, self.spec.network.features
+        full = (-(-height // multiple) * multiple, -(-width // multiple) * multiple)
+        planes = context.workspace.array("features", (1, len(names), *full))
+        exposure, modulator = prepared.history.exposure, prepared.modulator
+        albedo, normal, depth = prepared.albedo, prepared.normal, prepared.depth
+
+        def pack(rows: slice) -> None:
+            target, scratch = planes[0, :, rows, :width], context.strips.scratch
+            features.feature_planes(
+                prepared.history.mean[rows],
+                prepared.local[rows],
+                exposure,
+                self.spec.temporal,
+                names,
+                sample=prepared.luminance[rows],
+                albedo=None if albedo is None else albedo[rows],
+                normal=None if normal is None else normal[rows],
+                depth=None if depth is None else depth[rows],
+                depth_unit=prepared.depth_unit,
+                out=target,
+                scratch=scratch,
+            )
+            features.previous_planes(
+                None if previous is None else previous[rows],
+                None if modulator is None else modulator[rows],
+                exposure,
+                names,
+                out=target,
+                scratch=scratch,
+            )
+
+        with timed(context.timings, "encode"):
+            context.strips.run(pack, height, width)
+            # to a multiple by repeating the last column and row
+            planes[..., :height, width:] = planes[..., :height, width - 1 : width]
+            planes[..., height:, :] = planes[..., height - 1 : height, :]
+        return planes
+
+    def _remember(
+        self,
+        plan: KernelPlan,
+        prepared: Prepared,
+        image: np.ndarray,
+        layers: FilteredLayers | None,
+        context: Context,
+    ) -> State:
+        output: np.ndarray | None = None
+        if plan.runs("remember"):
+            with timed(context.timings, "remember"):
+                spare = history_of(context.spare)
+                output = previous_output.remember(image, context.strips, spare)
+        pasts = {} if layers is None else layers.pasts
+        history = replace(prepared.history, output=output, layers=pasts)
+        return State(shape=plan.before_network.shape, temporal=history)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KernelPlan(Plan):
+    """The decisions on one frame.
+
+    Attributes
+    ----------
+    before_network
+        Those on the stages before the network, with what they were taken on.
+    tiles
+        In which the picture is made; none for the whole frame at once.
+    """
+
+    before_network: TemporalPlan
+    tiles: tuple[Tile, ...] = ()
+
+
+def history_of(state: object) -> History | None:
+    """What a state of these families remembers; None for no state."""
+    history = state.temporal if isinstance(state, State) else None
+    return history if isinstance(history, History) else None
+
+
+def filterable(prepared: Prepared, previous: np.ndarray | None) -> Filterable:
+    """What kernels look at of a prepared frame."""
+    return Filterable(
+        mean=prepared.history.mean,
+        sample=prepared.sample,
+        modulator=prepared.modulator,
+        previous=previous,
+    )
+
+
+def crop(prepared: Prepared, tile: Tile) -> Prepared:
+    """The part of a prepared frame that a tile sees, in arrays of its own."""
+
+    def cut(value: Any) -> Any:
+        if isinstance(value, np.ndarray) and value.ndim >= 2:
+            return np.ascontiguousarray(value[tile.outer])
+        return value
+
+    values: dict[str, Any] = {f.name: cut(getattr(prepared, f.name)) for f in fields(prepared)}
+    if prepared.sample is not None:
+        values["sample"] = np.ascontiguousarray(prepared.sample[:, *tile.outer])
+    past = prepared.history
+    values["history"] = replace(past, mean=cut(past.mean), guides=None)
+    return replace(prepared, **values)

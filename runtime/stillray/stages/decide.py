@@ -1,0 +1,239 @@
+"""Which stages a frame calls for, by the values of its buffers and by what is remembered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stillray.arrays.strips import Strips
+from stillray.frame import Frame
+from stillray.model_spec.loader import ModelSpec
+from stillray.stages import history_rejection
+from stillray.stages.plan import Plan, Stage
+from stillray.stages.repair import Buffers
+from stillray.stages.specular_motion import has_mirrors
+from stillray.stages.state import History, Remembered
+from stillray.timing import timed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wants:
+    """What is asked of a frame, beside what its buffers call for.
+
+    Attributes
+    ----------
+    temporal
+        Whether the past is used, and this frame remembered.
+    sample
+        Whether this frame's own sample is wanted beside what was accumulated.
+    previous_output
+        Whether the previous output is looked at.
+    layers
+        Names of the other layers that are filtered with the frame.
+    """
+
+    temporal: bool = True
+    sample: bool = False
+    previous_output: bool = False
+    layers: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TemporalPlan(Plan):
+    """The decisions on one frame, with what they were taken on.
+
+    Attributes
+    ----------
+    buffers
+        The frame's, repaired where that was needed.
+    past
+        The history that is used; None where the frame begins anew, or is planned alone.
+    wants
+        What was asked for.
+    leaves
+        What there will be to remember of this frame.
+    """
+
+    buffers: Buffers
+    past: History | None
+    wants: Wants
+    leaves: Remembered
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width, pixels."""
+        height, width = self.buffers.color.shape[:2]
+        return height, width
+
+    @property
+    def moved(self) -> History | None:
+        """The history that is brought to this frame's pixels, by motion; None where none is."""
+        return self.past if self.runs("warp") else None
+
+
+def decide(
+    frame: Frame,
+    spec: ModelSpec,
+    past: History | TemporalPlan | None,
+    strips: Strips,
+    timings: dict[str, float],
+    wants: Wants,
+) -> TemporalPlan:
+    """Decide what runs before the network.
+
+    A frame is decided on as the stages see it, so what must be repaired is repaired here.
+
+    Parameters
+    ----------
+    frame
+        The buffers.
+    spec
+        The model's specification.
+    past
+        What is remembered, if anything. One of another size is not used, nor one without the
+        layers that are wanted: a layer without a past would not add up with those that have one.
+        The plan of the frame before stands for what that frame will leave; such a plan cannot run.
+    strips
+        Where the work runs.
+    timings
+        Stage name to milliseconds, filled in.
+    wants
+        What is asked for.
+    """
+    buffers = Buffers.of(frame)
+    with timed(timings, "inspect"):
+        whole = all(strips.run(buffers.in_range, *frame.shape))
+    if not whole:
+        with timed(timings, "repair"):
+            buffers = buffers.repaired()
+    found = past.leaves if isinstance(past, TemporalPlan) else None
+    if isinstance(past, History):
+        found = past.remembered
+    why_anew = _why_anew(frame.shape, found, wants)
+    facts = _Facts(buffers, spec, None if why_anew else found, why_anew, wants)
+    return TemporalPlan(
+        stages=(
+            Stage("inspect", True, "values tell what a frame calls for"),
+            Stage("repair", not whole, _REPAIR[whole]),
+            *facts.of_this_frame(),
+            *facts.of_the_past(),
+        ),
+        buffers=buffers,
+        past=past if isinstance(past, History) and not why_anew else None,
+        wants=wants,
+        leaves=facts.leaves(),
+    )
+
+
+_REPAIR = {
+    True: "every value is finite and in its range",
+    False: "a value is NaN, infinite or out of its range",
+}
+
+
+def _why_anew(shape: tuple[int, int], past: Remembered | None, wants: Wants) -> str:
+    """Why nothing that is remembered is used; empty if it is."""
+    if not wants.temporal:
+        return "temporal accumulation is switched off"
+    if past is None or past.shape != shape:
+        return "first frame, or the first after a reset or a new size"
+    if wants.layers and past.layers != wants.layers:
+        return "other layers are filtered than in the last frame"
+    return ""
+
+
+class _Facts:
+    """What decisions are taken on, and the decisions."""
+
+    def __init__(
+        self,
+        buffers: Buffers,
+        spec: ModelSpec,
+        past: Remembered | None,
+        why_anew: str,
+        wants: Wants,
+    ) -> None:
+        self._buffers, self._spec, self._past, self._wants = buffers, spec, past, wants
+        self._albedo = buffers.albedo is not None
+        self._geometry = buffers.normal is not None or buffers.depth is not None
+        self._moves = past is not None and buffers.motion is not None
+        self._why = why_anew or (
+            "history and motion are there"
+            if self._moves
+            else "no motion given: where the past went is not known"
+        )
+        height, width = buffers.color.shape[:2]
+        self._shape = (height, width)
+
+    def leaves(self) -> Remembered:
+        """What there will be to remember."""
+        return Remembered(
+            shape=self._shape,
+            divisor=self._albedo and self._spec.temporal.albedo_samples > 0,
+            output=self._wants.previous_output,
+            brightness=history_rejection.can_tell(self._shape),
+            layers=self._wants.layers,
+        )
+
+    def of_this_frame(self) -> list[Stage]:
+        """What a frame calls for by itself."""
+        given = "albedo is given" if self._albedo else "no albedo given"
+        return [
+            Stage("demodulate", self._albedo, given),
+            Stage("expose", True, "features are relative to the frame's brightness"),
+        ]
+
+    def of_the_past(self) -> list[Stage]:
+        """What the past, and the frame after, call for."""
+        return [
+            self._reject(),
+            self._mirror(),
+            self._guides(),
+            Stage("warp", self._moves, self._why),
+            Stage("accumulate", True, self._why if self._moves else f"begins anew: {self._why}"),
+            self._antialias(),
+            self._recall(),
+        ]
+
+    def _reject(self) -> Stage:
+        if not self._wants.temporal:
+            return Stage("reject", False, self._why)
+        if not history_rejection.can_tell(self._shape):
+            return Stage("reject", False, "the frame is too small to tell changes of light")
+        if self._moves and self._past is not None and self._past.brightness:
+            return Stage("reject", True, "light is compared with the past's")
+        return Stage("reject", True, "light is remembered, for the next frame to compare")
+
+    def _mirror(self) -> Stage:
+        buffers = self._buffers
+        if not self._moves or buffers.albedo is None or buffers.depth is None:
+            why = "only motion, depth, albedo and a past tell what a mirror shows"
+            return Stage("mirror", False, why)
+        found = has_mirrors(buffers.albedo, self._spec.demodulate.black)
+        which = "some" if found else "no"
+        return Stage("mirror", found, f"{which} surfaces are black, as mirrors and glass are")
+
+    def _guides(self) -> Stage:
+        if not self._wants.temporal:
+            return Stage("guides", False, self._why)
+        why = (
+            "normal or depth tell surfaces apart" if self._geometry else "no normal or depth given"
+        )
+        return Stage("guides", self._geometry, why)
+
+    def _antialias(self) -> Stage:
+        if self._spec.temporal.albedo_samples <= 0:
+            return Stage("antialias", False, "the model smooths edges otherwise")
+        if not self._moves or not self._albedo:
+            return Stage("antialias", False, self._why if self._albedo else "no albedo given")
+        held = self._past is not None and self._past.divisor
+        return Stage(
+            "antialias", held, "albedo is given" if held else "the last frame had no albedo"
+        )
+
+    def _recall(self) -> Stage:
+        if not self._wants.previous_output:
+            return Stage("recall", False, "the model does not look at its last output")
+        if not self._moves:
+            return Stage("recall", False, self._why)
+        held = self._past is not None and self._past.output
+        return Stage("recall", held, self._why if held else "the last frame has left no output")

@@ -1,0 +1,172 @@
+"""What is remembered between frames, and a frame on its way to the network."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stillray.stages.history_rejection import Brightness
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remembered:
+    """What there is in a history, without its arrays: what the next frame is decided on.
+
+    Attributes
+    ----------
+    shape
+        Height and width of the frame, pixels.
+    divisor, output, brightness
+        Whether the history has them.
+    layers
+        Names of the layers that have a past.
+    """
+
+    shape: tuple[int, int]
+    divisor: bool
+    output: bool
+    brightness: bool
+    layers: frozenset[str]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LayerPast:
+    """What is remembered of a layer that is filtered as the beauty is, see
+    `stillray.pipeline.layers`.
+
+    Attributes
+    ----------
+    mean : (h, w, 4) float32
+        As the beauty's; the samples are the same.
+    output : (h, w, 4) float32 or None
+        As the beauty's.
+    """
+
+    mean: np.ndarray
+    output: np.ndarray | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class History:
+    """What is remembered of the past: a value that can be kept, dropped or copied.
+
+    Attributes
+    ----------
+    mean : (h, w, 4) float32
+        Accumulated irradiance and, last, the samples that each pixel holds.
+    guides : (h, w, 4) float32 or None
+        Geometry of the last frame, see `stillray.stages.reproject.pack`.
+    exposure
+        1 / irradiance, steadied over the sequence.
+    brightness
+        See `stillray.stages.history_rejection`; None where the frame is too small to tell changes
+        of light.
+    output : (h, w, 4) float32 or None
+        The last output, see `stillray.stages.previous_output.remember`; None for models that take
+        none.
+    divisor : (h, w, 4) float32 or None
+        See `stillray.stages.albedo_history`; None for models that use this frame's alone.
+    divisor_samples
+        Frames that the ``divisor`` holds.
+    layers
+        By name, the past of layers that are filtered as the beauty is.
+    """
+
+    mean: np.ndarray
+    guides: np.ndarray | None
+    exposure: float
+    brightness: Brightness | None = None
+    output: np.ndarray | None = None
+    divisor: np.ndarray | None = None
+    divisor_samples: float = 0.0
+    layers: Mapping[str, LayerPast] = field(default_factory=dict)
+
+    @property
+    def remembered(self) -> Remembered:
+        """What there is, without the arrays."""
+        height, width = self.mean.shape[:2]
+        return Remembered(
+            shape=(height, width),
+            divisor=self.divisor is not None,
+            output=self.output is not None,
+            brightness=self.brightness is not None,
+            layers=frozenset(self.layers),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prepared:
+    """A frame on its way, ready for the network: also what training learns from.
+
+    Attributes
+    ----------
+    history
+        The history after this frame; its ``mean`` is what the kernels filter.
+    sample : (4, h, w) float32 or None
+        This frame's irradiance and, last, what its samples are worth; None where it was not asked
+        for, or where there is no past: it is the ``mean`` then.
+    luminance : (h, w) float32
+        Luminance of this frame's irradiance.
+    divisor : (h, w, 3) float32 or None
+        What radiance was divided by; None where there is no albedo.
+    modulator : (h, w, 3) float32 or None
+        What the result is multiplied by: ``divisor``, or its mean over frames.
+    local : (h, w) float32
+        Tone-mapped local luminance: of the accumulated irradiance, if the network asks for it.
+    albedo, normal, depth
+        The frame's, repaired.
+    depth_unit
+        Scale of the depth feature.
+    motion : (h, w, 2) float32 or None
+        The frame's, finite; in mirrors that of what they show, see
+        `stillray.stages.specular_motion`.
+    picture_positions : (h, w, 2) float32 or None
+        Where the pixels' picture was in the last one: x and y by their motion, but at silhouettes
+        by that of the nearer surface, see `stillray.stages.motion_dilation`. None where nothing
+        moves, or without a past, or where nobody looks at past pictures.
+    history_confidence : (h, w) float32 or None
+        How much of the past was kept where light has changed, see
+        `stillray.stages.history_rejection`.
+    disoccluded : (h, w) uint8 or None
+        1 where a pixel holds this frame's sample alone; None without a past, or where nobody looks
+        at past outputs.
+    """
+
+    history: History
+    sample: np.ndarray | None
+    luminance: np.ndarray
+    divisor: np.ndarray | None
+    modulator: np.ndarray | None
+    local: np.ndarray
+    albedo: np.ndarray | None
+    normal: np.ndarray | None
+    depth: np.ndarray | None
+    depth_unit: float
+    motion: np.ndarray | None
+    picture_positions: np.ndarray | None = None
+    disoccluded: np.ndarray | None = None
+    history_confidence: np.ndarray | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Filterable:
+    """What kernels filter, of a frame or of another layer of it.
+
+    Attributes
+    ----------
+    mean : (h, w, 4) float32
+        Accumulated irradiance, finite, and the samples that each pixel holds.
+    sample : (4, h, w) float32 or None
+        This frame's irradiance and what its samples weigh; None for that of ``mean``.
+    modulator : (h, w, 3) float32 or None
+        What the result is multiplied by.
+    previous : (h, w, 4) float32 or None
+        Radiance of the previous output at these pixels, and how much of it is valid, [0, 1].
+    """
+
+    mean: np.ndarray
+    sample: np.ndarray | None = None
+    modulator: np.ndarray | None = None
+    previous: np.ndarray | None = None

@@ -1,0 +1,93 @@
+"""A room imports lower floors only, also where an import is lazy or for types; nothing imports in
+circles; the runtime knows neither training nor export."""
+
+import ast
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1] / "runtime"
+#: Rooms of `stillray`, from the ground up; the package itself, a list of names, looks at all.
+FLOORS = [
+    {"errors", "version", "timing", "arrays"},
+    {"frame", "model_spec"},
+    {"stages", "models", "io"},
+    {"families"},
+    {"pipeline"},
+    {"batch", "compare"},
+    {"profiling"},
+    {"cli", "demo"},
+    {"__main__", "__init__"},
+]
+FLOOR = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
+OUTSIDE = {"stillray_training", "stillray_export", "torch", "mitsuba"}
+
+
+def imported(source: str, modules: set[str]) -> set[str]:
+    """Names of modules that a source imports, anywhere in it; of ours, the very modules."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                found.add(inner if inner in modules else str(node.module))
+    return found
+
+
+def sources() -> dict[str, str]:
+    paths = {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+        for path in ROOT.rglob("*.py")
+    }
+    return {module: path.read_text(encoding="utf-8") for module, path in paths.items()}
+
+
+def room(module: str) -> str:
+    _, _, rest = module.partition(".")
+    return rest.split(".")[0] or "__init__"
+
+
+def broken(texts: dict[str, str]) -> list[str]:
+    """What breaks the rules, in words."""
+    wrong = []
+    modules = set(texts)
+    for module, text in sorted(texts.items()):
+        for target in sorted(imported(text, modules)):
+            if target.split(".")[0] in OUTSIDE:
+                wrong.append(f"{module} imports {target}")
+            elif target.split(".")[0] == "stillray" and FLOOR[room(target)] > FLOOR[room(module)]:
+                wrong.append(f"{module} imports {target}, which lies above")
+    return wrong
+
+
+def test_rooms_import_lower_floors_only():
+    assert broken(sources()) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "line"),
+    [
+        ("stillray.stages.accumulate", "    from stillray.pipeline import denoiser"),
+        ("stillray.families.box_filter", "    import stillray.batch.run"),
+        ("stillray.io.atomic", "    from stillray import Denoiser"),
+        ("stillray.cli.tradeoff", "    from stillray_training.tradeoff import measure"),
+    ],
+)
+def test_one_forbidden_import_is_found_even_in_a_function(module, line):
+    texts = sources()
+    texts[module] += f"\ndef lazy():\n{line}\n"
+    assert [text.split()[0] for text in broken(texts)] == [module]
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    texts = sources()
+    modules = set(texts)
+    graph = {
+        module: {name for name in imported(text, modules) if name in modules and name != module}
+        for module, text in texts.items()
+    }
+    TopologicalSorter(graph).prepare()  # a CycleError names the modules of a circle

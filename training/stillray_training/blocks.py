@@ -1,0 +1,55 @@
+"""A frame in independent blocks of samples, of which frames of other counts are made."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stillray.frame import Frame
+from stillray.io.exr.read_write import read_exr
+from stillray_training.simulate.sequence import RECORD
+
+
+def read_blocks(sequence: Path, last: Frame, spp: float) -> list[tuple[Frame, float]]:
+    """The last frame of a sequence and its further blocks, each with its samples a pixel.
+
+    Parameters
+    ----------
+    sequence
+        A rendered sequence, with ``blocks`` among its options or without.
+    last
+        Its last frame.
+    spp
+        Samples a pixel of that.
+    """
+    counts = json.loads((sequence / RECORD).read_text())["options"].get("blocks", [])
+    paths = sorted(sequence.glob("block_*.exr"))
+    more = [(read_exr(path), float(n)) for path, n in zip(paths, counts, strict=True)]
+    return [(last, spp), *more]
+
+
+def mean_frame(blocks: Sequence[tuple[Frame, float]]) -> Frame:
+    """The frame that all samples of some blocks make, features included.
+
+    Normals are means, shorter than 1 where surfaces meet, as renderers write them; depth is a mean
+    over the blocks that hit something there; motion is the first block's.
+    """
+    total = sum(count for _, count in blocks)
+
+    def mean(name: str) -> np.ndarray:
+        parts = [getattr(frame, name) * np.float32(count / total) for frame, count in blocks]
+        return np.asarray(np.sum(parts, axis=0, dtype=np.float32))
+
+    hits = np.zeros(blocks[0][0].shape, np.float32)
+    for frame, count in blocks:
+        assert frame.depth is not None
+        hits += (frame.depth > 0) * np.float32(count / total)
+    depth = mean("depth") / np.maximum(hits, np.float32(1e-6))
+    first = blocks[0][0]
+    return replace(
+        first, color=mean("color"), albedo=mean("albedo"), normal=mean("normal"), depth=depth
+    )

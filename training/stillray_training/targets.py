@@ -1,0 +1,70 @@
+"""``python -m stillray_training.targets data/train``: targets of less noise than the references.
+
+References of a few hundred samples a pixel are noisier than what a network gives, which then
+learns from their noise. Open Image Denoise, given them and features of many samples, leaves a tenth
+of it. It helps only where the noise of frames is like people's: with heavier tails a network learns
+to put back light that robust accumulation takes away (docs/decisions.md).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import track
+
+from stillray.cli import program
+from stillray.compare.display import display_exposure, tone_map
+from stillray.io.exr.read_write import read_exr
+from stillray_training.blocks import mean_frame, read_blocks
+from stillray_training.peers.oidn import open_image_denoise
+from stillray_training.simulate.sequence import RECORD, is_complete, write
+
+
+def read_target(sequence: Path) -> tuple[np.ndarray, float]:
+    """What the last frame of a sequence is to become, ``(h, w, 3)``, and its samples a pixel.
+
+    The target if there is one, else the reference.
+    """
+    paths = sorted(sequence.glob("target_*.exr")) or sorted(sequence.glob("ref_*.exr"))
+    options = json.loads((sequence / RECORD).read_text())["options"]
+    return read_exr(paths[-1]).color, float(options["spp"])
+
+
+def make_target(sequence: Path) -> float:
+    """Write the target of a sequence; its brightness over the reference's, minus 1, tone-mapped."""
+    reference_path = sorted(sequence.glob("ref_*.exr"))[-1]
+    reference = read_exr(reference_path).color
+    frame = read_exr(sequence / reference_path.name.replace("ref", "frame"))
+    spp = json.loads((sequence / RECORD).read_text())["options"]["spp"]
+    features = mean_frame(read_blocks(sequence, frame, spp))
+    target = open_image_denoise(
+        reference, features.albedo, features.normal, "high", clean_features=True
+    )
+    write(sequence / reference_path.name.replace("ref", "target"), {"color": target})
+    exposure = display_exposure(reference)
+    ours, theirs = (float(np.mean(tone_map(image, exposure))) for image in (target, reference))
+    return ours / theirs - 1
+
+
+def main(folder: Annotated[Path, typer.Argument(help="A folder of rendered sequences.")]) -> None:
+    """Make the targets that are missing in a folder of sequences."""
+    todo = [
+        path
+        for path in sorted(folder.iterdir())
+        if path.is_dir() and is_complete(path) and not list(path.glob("target_*.exr"))
+    ]
+    bias = [make_target(path) for path in track(todo, "targets", console=Console(stderr=True))]
+    if bias:
+        print(
+            f"{len(bias)} targets; brightness against the references: mean {np.mean(bias):+.4f}, "
+            f"from {np.min(bias):+.4f} to {np.max(bias):+.4f}"
+        )
+
+
+if __name__ == "__main__":
+    program.run(main)
