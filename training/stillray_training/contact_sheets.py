@@ -17,8 +17,9 @@ import numpy as np
 import typer
 
 from stillray.cli import program
-from stillray.compare.display import display_exposure, tone_map, write_png
+from stillray.compare.display import display_exposure, tone_map
 from stillray.errors import InputError
+from stillray.io.atomic import atomic_path
 from stillray.models.registry import find_model
 from stillray_training.evaluate.__main__ import find_all
 from stillray_training.evaluate.cases import Case
@@ -121,6 +122,13 @@ def _write(page: np.ndarray, text: str, place: tuple[int, int]) -> None:
     cv2.putText(page, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
 
 
+def _save(path: Path, page: np.ndarray) -> None:
+    """Write a small PNG: enlarged pixels are worth the strongest compression."""
+    coded = cv2.imencode(".png", page[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1]
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(coded.tobytes())
+
+
 def pictures(case: Case, model: str) -> tuple[list[tuple[str, np.ndarray]], float]:
     """Rows of a sheet, and the exposure of the reference: of the last frame of a case."""
     name = find_model(model).name
@@ -150,7 +158,7 @@ def main(
             continue
         rows, exposure = pictures(case, model)
         page = compose(sheet, rows, exposure=exposure, side=side, enlargement=enlargement)
-        write_png(out / f"{sheet.file}.png", page / 255)
+        _save(out / f"{sheet.file}.png", page)
         print(out / f"{sheet.file}.png")
 
 
