@@ -13,7 +13,7 @@ from stillray_training.simulate.variant import load_mitsuba
 from stillray_training.simulate.world import Piece, Sky, Surface, World
 from tests.training.simulate_worlds import noisy
 
-TURN = ([1, 2, 3], 50)  # axis and degrees
+TURN = ([2 / 7, 3 / 7, 6 / 7], 50)  # unit axis and degrees
 
 
 @pytest.fixture(scope="module", params=["scalar_rgb", "llvm_ad_rgb"])

@@ -54,7 +54,7 @@ def simulate(
     ] = None,
     recipe: Annotated[Path | None, typer.Option(help="A TOML file of many scenes.")] = None,
     assets: Annotated[
-        Path | None, typer.Option(help="Folder of objects for interior, desk and shadows.")
+        Path | None, typer.Option(help="Folder of objects for interior, desk, shadows, terrace.")
     ] = None,
     effects: Annotated[
         str,

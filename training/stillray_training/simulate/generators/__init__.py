@@ -12,6 +12,7 @@ from stillray_training.simulate.generators.interior import interior
 from stillray_training.simulate.generators.room import room
 from stillray_training.simulate.generators.shadows import shadows
 from stillray_training.simulate.generators.tabletop import tabletop
+from stillray_training.simulate.generators.terrace import terrace
 from stillray_training.simulate.world import World
 
 _PROCEDURAL: dict[str, Callable[[int], World]] = {
@@ -24,6 +25,7 @@ _FURNISHED: dict[str, Callable[[int, Library | None], World]] = {
     "interior": interior,
     "desk": desk,
     "shadows": shadows,
+    "terrace": terrace,
 }
 GENERATORS = (*_PROCEDURAL, *_FURNISHED)
 

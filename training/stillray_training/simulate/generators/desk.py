@@ -26,8 +26,8 @@ def desk(seed: int, library: Library | None = None) -> World:
     sides = walls(size)
     window = sides[1]
     middle, half = window.length * b.between(0.35, 0.65), b.between(0.6, 1.2)
-    hole = (max(0.1, middle - half), b.between(0.6, 0.95), min(window.length - 0.1, middle + half))
-    window.holes.append((*hole, window.height - 0.25))
+    left, right = max(0.1, middle - half), min(window.length - 0.1, middle + half)
+    window.holes.append((left, b.between(0.6, 0.95), right, window.height - 0.25))
     wall = b.wall()
     for side in sides:
         b.add(pierced(side), wall)

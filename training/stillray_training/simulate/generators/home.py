@@ -134,7 +134,7 @@ class Home(Builder):
         kind = self.pick("planks", "parquet", p=[0.7, 0.3])
         picture = self.sharp(kind, _shade(tone, 0.45), _shade(tone, 1.35), self.between(0.9, 1.8))
         rough = self.between(0.09, 0.32) if self.chance(0.85) else None
-        relief = self.relief(picture, self.between(0.0006, 0.002))
+        relief = self.relief(picture, self.between(0.001, 0.004))
         return Surface(color=tone, texture=picture, roughness=rough, relief=relief)
 
     def wall(self) -> Surface:

@@ -30,6 +30,9 @@ from stillray_training.simulate.mesh import quad, rotation
 from stillray_training.simulate.world import Surface, World
 
 _ODDS = (0.3, 0.14, 0.16, 0.12, 0.12, 0.06, 0.1)  # of KINDS
+_FREE_STANDING = (
+    "wheelchair", "desk_fan", "tall_plant", "cloth_folds", "modern_armchair", "painted_stool",
+)  # fmt: skip
 Boxes = tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -130,20 +133,12 @@ def _more_furniture(b: Home, sides: list[Wall], size: np.ndarray) -> None:
         )
     if b.library is None:
         return
-    own = (
-        "wheelchair",
-        "desk_fan",
-        "tall_plant",
-        "cloth_folds",
-        "modern_armchair",
-        "painted_stool",
-    )
-    own = tuple(name for name in own if name in b.library)
+    own = [name for name in _FREE_STANDING if name in b.library]
     for _ in range(int(b.rng.integers(1, 4)) if own else 0):
         asset = b.library.get(str(b.rng.choice(own)))
         radius = float(np.hypot(asset.size[0], asset.size[2]) / 2)
         low = np.maximum(np.array([x, z]) - radius - 0.1, 0.05)
-        spot = b.place(-low, low, radius * 0.8)
+        spot = b.place(list(-low), list(low), radius * 0.8)
         if spot is not None:
             at = lift(spot[0], 0, spot[1]) @ rotation([0, 1, 0], b.between(0, 360))
             b.place_asset(asset, at, np.ones(3))
@@ -193,7 +188,7 @@ def _framing(b: Home, sides: list[Wall], size: np.ndarray) -> Boxes:
         at = b.spots[b.rng.integers(len(b.spots))].centre
         at = np.clip(at, [-x, 0, -z], [x, 1.6, z])
         reach = b.between(0.9, 2.0)
-        near = np.maximum(at - reach, low), np.minimum(at - [-reach, -1.1, -reach], high)
-        if (near[1] - near[0] > 0.3).all():
-            return (near[0], near[1]), (at - [0.3, 0.1, 0.3], at - [-0.3, -0.5, -0.3])
+        first, last = np.maximum(at - reach, low), np.minimum(at - [-reach, -1.1, -reach], high)
+        if (last - first > 0.3).all():
+            return (first, last), (at - [0.3, 0.1, 0.3], at - [-0.3, -0.5, -0.3])
     return (low, high), (np.array([-x, 0.2, -z]), np.array([x, 1.5, z]))

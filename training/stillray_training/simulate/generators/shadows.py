@@ -32,25 +32,26 @@ def shadows(seed: int, library: Library | None = None) -> World:
     back = Surface(color=b.off_white()) if b.chance(0.6) else b.wall()
     depth = b.between(0.8, 2.2)
     b.add(quad([-_WIDE, 0, -depth], [2 * _WIDE, 0, 0], [0, 3.2, 0]), back)
+    side = 1 if b.chance(0.5) else -1  # of the light: shadows fall where cameras see them
     if b.chance(0.4):
-        side = b.between(1.5, 2.5)
-        b.add(quad([-side, 0, _WIDE], [0, 0, -2 * _WIDE], [0, 3.2, 0]), back)
-    for _ in range(int(b.rng.integers(2, 6))):
-        spot = b.place([-1.3, -0.7 * depth], [1.3, 1.2], 0.35)
+        x = -side * b.between(1.5, 2.5)
+        b.add(quad([x, 0, side * _WIDE], [0, 0, -2 * side * _WIDE], [0, 3.2, 0]), back)
+    for _ in range(int(b.rng.integers(3, 7))):
+        spot = b.place([-1.0, -0.6 * depth], [1.0, 0.8], 0.3)
         if spot is not None:
             _stands(b, lift(spot[0], 0, spot[1]) @ rotation([0, 1, 0], b.between(0, 360)))
     if b.chance(0.25):
         railing(b, lift(-1.5, 0, -0.6 * depth), 3.0, 0.9)
     style = b.pick("box", "sun", "both", p=[0.5, 0.3, 0.2])
     if style != "sun":
-        power = b.between(60, 250)
-        soft_box(b, b.between(-75, 75), b.between(25, 70), b.between(0.3, 1.6), power, KEY)
+        power = b.between(100, 350)
+        soft_box(b, side * b.between(30, 85), b.between(20, 60), b.between(0.2, 1.1), power, KEY)
         if b.chance(0.35):
             soft_box(b, b.between(-75, 75), b.between(25, 70), b.between(0.8, 1.6), 0.6 * power)
     kind = b.pick("clear", "cloudy", "studio")
-    sky = Sky(kind=kind, seed=int(b.rng.integers(2**31)), radiance=b.between(0.4, 2.5))
-    sun = sunlight(b, np.array([b.rng.normal(), 0, 1.0]), spread=50)
-    ratio = sky.radiance * b.between(3, 10) / float(np.mean(sun.irradiance))
+    sky = Sky(kind=kind, seed=int(b.rng.integers(2**31)), radiance=b.between(0.06, 0.5))
+    sun = sunlight(b, np.array([side, 0, b.between(0.0, 0.8)]), spread=25)
+    ratio = sky.radiance * b.between(8, 30) / float(np.mean(sun.irradiance))
     sun = replace(sun, irradiance=tuple(ratio * v for v in sun.irradiance))  # type: ignore[arg-type]
     world = finish(
         b, "shadows", daylight=True, sky=sky, sun=sun,
@@ -74,7 +75,7 @@ def _stands(b: Home, at: np.ndarray) -> None:
     if kind == "asset" and b.library is not None:
         kinds = ("clutter", "figure", "furniture", "vehicle", "plant")
         names = [name for kind in kinds for name in b.library.kind(kind)]
-        names = [name for name in names if 0.15 < b.library.get(name).size.max() < 1.7]
+        names = [name for name in names if 0.15 < b.library.get(name).size.max() < 1.25]
         asset = b.library.get(str(b.rng.choice(names)))
         scale = max(1.0, b.between(0.35, 0.8) / float(asset.size.max()))
         b.place_asset(asset, at, np.ones(3) * scale)
