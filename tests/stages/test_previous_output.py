@@ -34,7 +34,7 @@ def test_what_is_remembered_is_a_copy_that_is_valid_everywhere(rng):
 def test_motion_is_followed_to_a_fraction_of_a_pixel(threads):
     height, width = 97, 64
     motion = np.full((height, width, 2), (1.37, -2.81), np.float32)
-    past = recall.recall(ramp(height, width), moved(motion), Strips(threads))
+    past = recall.recall(ramp(height, width), moved(motion), Strips(threads, pixels=width))
     row, column = np.mgrid[3 : height - 3, 3 : width - 3]
     inner = past[3:-3, 3:-3]
     np.testing.assert_allclose(inner[..., 0], column + 1.37, atol=1e-4)
@@ -69,7 +69,7 @@ def thirty_seconds(rng, shape, far):
 def test_sharp_recall_equals_the_loop_oracle(rng, threads):
     output = recall.remember(rng.lognormal(0, 3, (23, 18, 3)).astype(np.float32), Strips(1))
     positions = moved(thirty_seconds(rng, (23, 18), far=5))
-    past = recall.recall(output, positions, Strips(threads), sharp=True)
+    past = recall.recall(output, positions, Strips(threads, pixels=40), sharp=True)
     expected, brightest = oracles.sharp_recall(output, positions)
     assert (expected[..., 3] > 0.999).mean() > 0.3
     assert ((expected[..., 3] > 0) & (expected[..., 3] < 1)).any()

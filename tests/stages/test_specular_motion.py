@@ -67,7 +67,14 @@ def pictures(depth, mirror, factor, seed=1):
 def follow(depth, albedo, past, now, motion=None, exposure=0.3):
     motion = motion_of(depth) if motion is None else motion
     return follow_reflections(
-        motion, depth, albedo, now, past, exposure=exposure, black=1e-3, strips=Strips(2)
+        motion,
+        depth,
+        albedo,
+        now,
+        past,
+        exposure=exposure,
+        black=1e-3,
+        strips=Strips(2, pixels=500),
     ), motion
 
 
