@@ -11,7 +11,7 @@ from stillray.stages import history_rejection as relight
 from tests.conftest import make_frame, remembered
 
 SIZE = (150, 210)  # 9 x 13 blocks, and a rest
-STRIPS = Strips(1)
+STRIPS = Strips(1, pixels=1 << 12)
 
 
 def scene(rng, *, shift=0):
