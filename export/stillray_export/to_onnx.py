@@ -27,7 +27,8 @@ from stillray.models.registry import PROVENANCE_KEY, SPEC_KEY, WHOLE_SUFFIX
 from stillray_export import parity
 from stillray_export.fuse import fuse
 from stillray_training.decoders.boxes import pooled_box_mean
-from stillray_training.evaluate import evaluate_folder, mean_scores
+from stillray_training.evaluate.cases import find_cases
+from stillray_training.evaluate.scores import evaluate_cases, mean_scores
 from stillray_training.families import FAMILIES
 from stillray_training.provenance import collect
 from stillray_training.train import CHECKPOINT, load_network
@@ -205,7 +206,8 @@ def main(
     if validation is not None:
         with tempfile.TemporaryDirectory() as folder:
             unscored = str(export(network, spec, about, Path(folder)))
-            scores = evaluate_folder(validation, {"model": unscored}, peers=())
+            sequences = find_cases(validation, kinds=["sequences"])
+            (scores,) = evaluate_cases(sequences, {"model": unscored}, peers=()).values()
         about["scores"] = {
             name: round(value, 4) for name, value in mean_scores(scores)["model"].items()
         }

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 from stillray.version import __version__
 
 if TYPE_CHECKING:
+    from stillray.batch.api import ShotOptions, denoise_shot
     from stillray.errors import InputError
     from stillray.frame import Frame
     from stillray.io.exr.read_write import read_exr, write_exr
@@ -16,8 +17,10 @@ __all__ = [
     "Denoiser",
     "Frame",
     "InputError",
+    "ShotOptions",
     "__version__",
     "denoise",
+    "denoise_shot",
     "list_models",
     "read_exr",
     "write_exr",
@@ -28,7 +31,9 @@ _HOME = {
     "Denoiser": "stillray.pipeline.denoiser",
     "Frame": "stillray.frame",
     "InputError": "stillray.errors",
+    "ShotOptions": "stillray.batch.api",
     "denoise": "stillray.pipeline.denoiser",
+    "denoise_shot": "stillray.batch.api",
     "list_models": "stillray.models.registry",
     "read_exr": "stillray.io.exr.read_write",
     "write_exr": "stillray.io.exr.read_write",

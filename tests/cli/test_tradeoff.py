@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import shutil
 import sys
@@ -131,7 +132,7 @@ def offered(monkeypatch):
         EntryPoint(*item, COMMAND.GROUP) for item in project["entry-points"][COMMAND.GROUP].items()
     ]
     monkeypatch.setattr(
-        COMMAND,
+        importlib.metadata,
         "entry_points",
         lambda group, name: [e for e in found if (e.group, e.name) == (group, name)],
     )
@@ -189,7 +190,7 @@ def test_threads_change_no_picture_and_are_scored_once(monkeypatch):
 
 
 def test_without_the_evaluation_one_line_says_what_to_install(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(COMMAND, "entry_points", lambda **of: [])
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda **of: [])
     assert cli.main(["tradeoff", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert error == "error: tradeoff needs the evaluation: pip install 'stillray[compare]'\n"

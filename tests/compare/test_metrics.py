@@ -22,7 +22,8 @@ def test_an_image_equal_to_its_reference_is_perfect(reference):
     assert values["ssim"] == pytest.approx(1)
     assert values["smape"] == values["relmse"] == 0
     assert values["flip"] == pytest.approx(0, abs=1e-6)
-    assert not {"flicker", "fovvideovdp"} & set(values)  # one frame does not move
+    assert values["edge"] == values["bias"] == 0
+    assert "flicker" not in values  # one frame does not move
 
 
 def test_psnr_and_smape_are_their_definitions(reference):
@@ -41,7 +42,8 @@ def test_the_last_of_several_frames_counts(reference):
     worse = reference * np.float32(1.5)
     alone = metrics.evaluate([reference * np.float32(1.1)], [reference])
     both = metrics.evaluate([worse, reference * np.float32(1.1)], [worse, reference])
-    assert alone == {name: both[name] for name in alone}
+    seen = set(alone) - {"cvvdp"}  # which sees all frames
+    assert {name: alone[name] for name in seen} == {name: both[name] for name in seen}
 
 
 def test_exposure_of_a_dark_reference_is_limited():
@@ -57,25 +59,84 @@ def test_flicker_counts_change_that_the_reference_does_not_have(reference):
     assert metrics.flicker(still * 2, still, still, still) > 0.1
 
 
-def test_fovvideovdp_minds_what_comes_and_goes_more_than_what_stays(rng):
-    pytest.importorskip("pyfvvdp")
+def step(height, width, *, soft=0.0):
+    """Dark on the left, bright on the right, over ``soft`` pixels; radiance."""
+    across = np.arange(width) - width / 2 + 0.5
+    share = np.clip(across / soft + 0.5, 0, 1) if soft else across > 0
+    return np.repeat((0.05 + 0.4 * share)[None, :, None], height, 0).repeat(3, 2)
+
+
+def test_edge_error_is_of_edges_blurred_or_stippled_and_not_of_flat_walls(rng):
+    reference = step(40, 80)
+    exposure = metrics.display_exposure(reference)
+
+    def error(image):
+        shown, wanted = (metrics.tone_map(part, exposure) for part in (image, reference))
+        return metrics.edge_error(shown, wanted)
+
+    assert error(reference) == 0
+    slightly, much = error(step(40, 80, soft=4)), error(step(40, 80, soft=12))
+    assert 0 < slightly < much
+    noise = 1 + 0.3 * rng.uniform(-1, 1, reference.shape)
+    near = np.abs(np.arange(80) - 39.5)[None, :, None] < 6
+    stippled, mottled = np.where(near, reference * noise, reference), reference.copy()
+    mottled[:, :30] *= noise[:, :30]
+    assert error(stippled) > slightly / 4
+    assert error(mottled) < 1e-3 * error(stippled)
+
+
+def test_edge_error_of_a_lost_edge_is_its_slope():
+    # a ramp of tone-mapped 0.01 a pixel everywhere, against nothing: all slopes are lost
+    wanted = np.repeat((np.arange(64) * 0.01)[None, :, None], 48, 0).repeat(3, 2)
+    expected = 0.01 * np.sqrt(3)  # three channels
+    assert metrics.edge_error(np.zeros_like(wanted), wanted) == pytest.approx(expected, rel=1e-3)
+
+
+def test_bias_is_percent_of_the_tone_mapped_mean(reference):
+    exposure = metrics.display_exposure(reference)
+    shown, wanted = (metrics.tone_map(part, exposure) for part in (reference * 0.9, reference))
+    expected = 100 * (shown.mean() / wanted.mean() - 1)
+    assert metrics.evaluate([reference * np.float32(0.9)], [reference])["bias"] == pytest.approx(
+        expected, rel=1e-3
+    )
+    assert expected < -3
+    assert metrics.brightness_bias(shown, np.zeros_like(shown)) == 0
+
+
+def test_of_a_signed_metric_the_worst_is_told_and_nothing_cancels():
+    by_name = {metric.name: metric for metric in metrics.METRICS}
+    bias, psnr, smape = by_name["bias"], by_name["psnr"], by_name["smape"]
+    assert bias.summary([3.0, -4.0, 1.0]) == -4.0
+    assert psnr.summary([20.0, 30.0]) == 25.0
+    assert bias.loss(-2.0) == bias.loss(2.0) > bias.loss(0.5)
+    assert psnr.loss(30.0) < psnr.loss(20.0)
+    assert smape.loss(0.1) < smape.loss(0.2)
+
+
+def test_colorvideovdp_sees_noise_colour_and_all_frames(rng):
+    pytest.importorskip("pycvvdp")
     still = np.full((72, 96, 3), 0.2, np.float32)
-    fixed = still * rng.uniform(0.7, 1.3, still.shape).astype(np.float32)
-    other = still * rng.uniform(0.7, 1.3, still.shape).astype(np.float32)
-    assert metrics.fovvideovdp([still, still], [still, still]) == pytest.approx(10)
-    steady = metrics.fovvideovdp([fixed, fixed], [still, still])
-    flickering = metrics.fovvideovdp([fixed, other], [still, still])
-    assert flickering < steady - 0.1 < 10
-    assert metrics.evaluate([fixed, other], [still, still])["fovvideovdp"] == flickering
+    little, much = (
+        still * rng.uniform(1 - part, 1 + part, still.shape).astype(np.float32)
+        for part in (0.05, 0.3)
+    )
+    assert metrics.color_video_vdp([still], [still]) == pytest.approx(10)
+    scores = [metrics.color_video_vdp([image], [still]) for image in (much, little)]
+    assert scores[0] < scores[1] - 1 < 9
+    both = metrics.color_video_vdp([much, still], [still, still])
+    assert both < 9  # though the last frame alone is perfect
+    assert metrics.evaluate([much, still], [still, still])["cvvdp"] == both
+    tinted = still * np.array([1.15, 0.96, 0.9], np.float32)
+    assert metrics.color_video_vdp([tinted], [still]) < 9.9
 
 
 def test_a_metric_without_its_package_is_left_out(reference, monkeypatch):
     absent = [
         dataclasses.replace(metric, module="no_such_module")
-        if metric.name in ("psnr", "ssim", "flip", "fovvideovdp")
+        if metric.name in ("psnr", "ssim", "flip", "cvvdp")
         else metric
         for metric in metrics.METRICS
     ]
     monkeypatch.setattr(metrics, "METRICS", tuple(absent))
     values = metrics.evaluate([reference, reference], [reference, reference])
-    assert list(values) == ["smape", "relmse", "flicker"]
+    assert list(values) == ["smape", "relmse", "edge", "bias", "flicker"]

@@ -25,7 +25,10 @@ def draw(height, width, options, seed=0):
 
 
 def run(mean, maps, options, threads=1):
-    return grid.filter_grids(mean, maps, options, Strips(threads))
+    image = grid.filter_grids(mean, maps, options, Strips(threads))
+    few_rows = grid.filter_grids(mean, maps, options, Strips(1, pixels=1))
+    np.testing.assert_allclose(few_rows, image, rtol=1e-5, atol=1e-30)
+    return image
 
 
 def check(mean, maps, options):

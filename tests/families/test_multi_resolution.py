@@ -35,7 +35,11 @@ def draw(height, width, seed=0, spread=2.0, light=2.0):
 
 def run(mean, logits, spec=SPEC, threads=1, divisor=None):
     light = Filterable(mean=mean, modulator=divisor)
-    return MultiResolutionModel(spec).reconstruct(light, logits, Strips(threads), {})
+    model = MultiResolutionModel(spec)
+    image = model.reconstruct(light, logits, Strips(threads), {})
+    few_rows = Strips(1, pixels=4 * mean.shape[1])
+    np.testing.assert_array_equal(model.reconstruct(light, logits, few_rows, {}), image)
+    return image
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (9, 14), (16, 8), (23, 17)])

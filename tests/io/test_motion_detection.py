@@ -235,7 +235,7 @@ def test_command_line_uses_motion_once_it_is_proven(tmp_path, capsys, kind):
         denoiser.denoise(read_exr(paths[0]))
         frame = read_exr(paths[1], convention=convention, before=paths[0])
         expected = denoiser.denoise(frame)
-        alone = stillray.denoise(frame.color, frame.albedo, frame.normal, quality="fast")
+        alone = stillray.denoise(frame.color, frame.albedo, frame.normal, model="fast")
     clean = read_picture(tmp_path / "c.1.exr")
     np.testing.assert_array_equal(clean, expected.astype(np.float16))
     assert not np.allclose(clean, alone, rtol=1e-2)  # it has a history

@@ -78,7 +78,7 @@ def write_mixed(
     spec.channelnames = tuple(kinds)
     spec.channelformats = tuple(oiio.TypeDesc(kind) for kind in kinds.values())
     spec.x, spec.y = window
-    spec.full_x, spec.full_y, spec.full_width, spec.full_height = 0, 0, 40, 80
+    spec.full_x, spec.full_y, spec.full_width, spec.full_height = -3, 5, 40, 80
     spec.tile_width = spec.tile_height = tile
     spec.attribute("compression", compression)
     spec.attribute("openexr:lineOrder", line_order)

@@ -270,7 +270,7 @@ def test_inputs_are_never_changed(denoiser):
 def test_one_image_call_equals_a_stream_s_first_frame():
     frame = make_frame(33, 18, 0)
     image = stillray.denoise(
-        frame.color, frame.albedo, frame.normal, depth=frame.depth, quality="fast"
+        frame.color, frame.albedo, frame.normal, depth=frame.depth, model="fast"
     )
     with stillray.Denoiser("fast") as denoiser:
         np.testing.assert_array_equal(image, denoiser.denoise(frame))

@@ -19,7 +19,9 @@ OPTIONS = load("wskp-3").temporal
 
 def accumulate(divisor, past, positions=None, threads=1, samples=OPTIONS.albedo_samples):
     remembered, modulator = np.empty_like(past), np.empty_like(divisor)
-    antialias.accumulate(divisor, past, samples, positions, remembered, modulator, Strips(threads))
+    antialias.accumulate(
+        divisor, past, samples, positions, remembered, modulator, Strips(threads, pixels=60)
+    )
     return remembered, modulator
 
 

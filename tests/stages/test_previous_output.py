@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -34,7 +36,7 @@ def test_what_is_remembered_is_a_copy_that_is_valid_everywhere(rng):
 def test_motion_is_followed_to_a_fraction_of_a_pixel(threads):
     height, width = 97, 64
     motion = np.full((height, width, 2), (1.37, -2.81), np.float32)
-    past = recall.recall(ramp(height, width), moved(motion), Strips(threads))
+    past = recall.recall(ramp(height, width), moved(motion), Strips(threads, pixels=width))
     row, column = np.mgrid[3 : height - 3, 3 : width - 3]
     inner = past[3:-3, 3:-3]
     np.testing.assert_allclose(inner[..., 0], column + 1.37, atol=1e-4)
@@ -69,7 +71,7 @@ def thirty_seconds(rng, shape, far):
 def test_sharp_recall_equals_the_loop_oracle(rng, threads):
     output = recall.remember(rng.lognormal(0, 3, (23, 18, 3)).astype(np.float32), Strips(1))
     positions = moved(thirty_seconds(rng, (23, 18), far=5))
-    past = recall.recall(output, positions, Strips(threads), sharp=True)
+    past = recall.recall(output, positions, Strips(threads, pixels=40), sharp=True)
     expected, brightest = oracles.sharp_recall(output, positions)
     assert (expected[..., 3] > 0.999).mean() > 0.3
     assert ((expected[..., 3] > 0) & (expected[..., 3] < 1)).any()
@@ -140,3 +142,24 @@ def test_a_frame_that_comes_from_outside_altogether_is_recalled_as_nothing():
     motion = np.full((300, 400, 2), 1e6, np.float32)
     past = recall.recall(ramp(300, 400), moved(motion), Strips(1), sharp=True)
     assert not past.any()
+
+
+def test_what_was_just_uncovered_has_no_past_but_thin_lines_keep_theirs(rng):
+    output = rng.uniform(1, 2, (20, 24, 4)).astype(np.float32)
+    disoccluded = np.zeros((20, 24), np.uint8)
+    disoccluded[2:6, 3:8] = 1  # a surface that was behind another
+    disoccluded[10:12, 1:20] = 1  # an edge two pixels thick
+    disoccluded[16, 20] = 1
+    disoccluded[2, 3] = 0  # a corner: no three pixels wide there
+    expected = output.copy()
+    for row, column in np.ndindex(18, 22):
+        window = slice(row, row + 3), slice(column, column + 3)
+        if disoccluded[window].all():
+            expected[window] = 0
+    assert (expected == 0).any()
+    disoccluded[8:12, 21:24] = 1  # wide where it meets the border
+    expected[8:12, 21:24] = 0
+    given = output.copy()
+    past = recall.forget_uncovered(given, given, SimpleNamespace(disoccluded=disoccluded))
+    np.testing.assert_array_equal(past, expected)
+    np.testing.assert_array_equal(given, output)  # which belongs to the history

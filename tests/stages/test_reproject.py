@@ -59,6 +59,19 @@ def test_taps_are_accepted_one_by_one_like_the_loop_oracle(size, patch, spec):
     np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.parametrize("size", [(7, 9), (1, 5), (40, 2)])
+@pytest.mark.parametrize("off", [-1.5, -1.0, -0.25, 0.0, 0.25, 0.75, 1.0, 1.5])
+def test_borders_are_where_the_frame_ends_also_without_geometry(size, off, spec, rng):
+    history = rng.random((*size, 4)).astype(np.float32) * 8
+    alike = np.zeros((*size, 3), np.float32), np.ones(size, np.float32)
+    for axis in (0, 1):
+        motion = np.zeros((*size, 2), np.float32)
+        motion[..., axis] = off
+        got = _run(history, None, None, motion, slice(0, size[0]), spec)
+        expected = oracles.reproject(history, *alike, *alike, motion, spec.temporal)
+        np.testing.assert_allclose(got, expected, rtol=1e-5, atol=1e-5)
+
+
 def test_a_slanted_surface_keeps_its_history(spec):
     # depth falls by 3 % a pixel: neighbours are one surface
     depth = np.broadcast_to(5 * 0.97 ** np.arange(24, dtype=np.float32), (9, 24)).copy()

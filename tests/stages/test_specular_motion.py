@@ -67,7 +67,14 @@ def pictures(depth, mirror, factor, seed=1):
 def follow(depth, albedo, past, now, motion=None, exposure=0.3):
     motion = motion_of(depth) if motion is None else motion
     return follow_reflections(
-        motion, depth, albedo, now, past, exposure=exposure, black=1e-3, strips=Strips(2)
+        motion,
+        depth,
+        albedo,
+        now,
+        past,
+        exposure=exposure,
+        black=1e-3,
+        strips=Strips(2, pixels=500),
     ), motion
 
 
@@ -136,10 +143,12 @@ def test_where_nothing_shows_the_motion_is_passed_on_untouched():
 
 
 def test_a_mirror_that_moves_itself_is_left_alone():
-    depth, mirror, albedo = scene()
+    depth, mirror, albedo = scene((121, 165))  # of which the mirror is a small part
     past, now, _ = pictures(depth, mirror, 4)
     motion = motion_of(depth)
     motion[mirror] += 2
+    # the camera is known, and the depths it would be followed to bring the past nearer
+    assert camera_motion(motion, depth) is not None
     assert follow(depth, albedo, past, now, motion)[0] is motion
 
 

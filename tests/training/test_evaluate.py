@@ -12,11 +12,13 @@ pytest.importorskip("skimage")
 from stillray.compare import metrics
 from stillray.errors import InputError
 from stillray.io.exr.read_write import read_exr, write_channels
-from stillray_training import evaluate, evaluate_clean
+from stillray_training.evaluate import __main__ as evaluate
+from stillray_training.evaluate import methods, report, scores
 from stillray_training.peers import PEERS, find_peer
 from tests.conftest import clean_color, make_frame
 
 SIZE = 40, 48
+FAST = "psnr,ssim,smape,relmse,flip,edge,bias,flicker"  # all but ColorVideoVDP
 
 
 def write_sequence(folder, frames, references):
@@ -43,6 +45,27 @@ def write_sequence(folder, frames, references):
         )
 
 
+def write_still(folder, scene, count, noise):
+    """A frame of some samples a pixel: the truth, and the noise of one sample times ``noise``."""
+    frame, truth = make_frame(*SIZE, count), clean_color(*SIZE)
+    path = folder / "spp" / scene / str(count) / "frame_0002.exr"
+    path.parent.mkdir(parents=True)
+    color = truth + noise * (frame.color - truth)
+    layers = {
+        "": ("RGB", color),
+        "albedo.": ("RGB", frame.albedo),
+        "normal.": ("XYZ", frame.normal),
+    }
+    write_channels(
+        path,
+        {
+            prefix + channel: image[..., place]
+            for prefix, (channels, image) in layers.items()
+            for place, channel in enumerate(channels)
+        },
+    )
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Two sequences; only the second has references of consecutive frames."""
@@ -52,44 +75,151 @@ def folder(tmp_path_factory):
     return folder
 
 
-def run(folder, **options):
-    given = {"model": ["wskp-3"], "peer": ["svgf"], "peers": True, "report": None, "pictures": None}
+@pytest.fixture(scope="module")
+def stills(tmp_path_factory):
+    """A sequence, and its last frame with 4 and with 16 samples a pixel, all but clean."""
+    folder = tmp_path_factory.mktemp("stills")
+    write_sequence(folder / "one", 3, [2])
+    write_still(folder, "one", 16, 0.001)
+    write_still(folder, "one", 4, 0.5)
+    return folder
+
+
+def run_all(folder, **options):
+    given = {"model": ["wskp-3"], "peer": ["svgf"], "peers": True, "metrics": FAST}
     out = folder / "scores.json"
-    evaluate.main(folder, **{**given, **options, "out": out})
+    evaluate.main([str(folder)], **{**given, **options, "out": out})
     return json.loads(out.read_text())
 
 
+def run(folder, **options):
+    return run_all(folder, **{"only": "sequences", **options})["sequences"]
+
+
 def test_peers_and_models_are_scored_on_every_scene(folder, capsys):
-    scores = run(folder, peer=["svgf", "bmfr"])
+    found = run(folder, peer=["svgf", "bmfr"])
     rows = {"noisy", "accumulated", "wskp-3", "wskp-3, one frame", "SVGF", "BMFR"}
-    assert set(scores) == rows
-    assert all(set(row) == {"one", "two"} for row in scores.values())
+    assert set(found) == rows
+    assert all(set(row) == {"one", "two"} for row in found.values())
     for method in ("wskp-3", "SVGF", "BMFR"):
-        assert scores[method]["two"]["psnr"] > scores["noisy"]["two"]["psnr"] + 5
+        assert found[method]["two"]["psnr"] > found["noisy"]["two"]["psnr"] + 5
     table = capsys.readouterr().out
     assert "| SVGF | " in table
 
 
-def test_a_perfect_picture_is_estimated_from_the_references(folder):
+def test_stills_are_measured_at_every_count_fewest_samples_first(stills):
+    results = run_all(stills, only="stills")
+    assert list(results) == ["stills, 4 samples a pixel", "stills, 16 samples a pixel"]
+    four, sixteen = (results[title]["noisy"]["one"]["psnr"] for title in results)
+    assert sixteen > four + 20
+    # what remembers frames has nothing to remember
+    assert set(results["stills, 4 samples a pixel"]) == {"noisy", "wskp-3"}
+    assert list(run_all(stills, only="stills", stills="16")) == ["stills, 16 samples a pixel"]
+
+
+def test_fed_the_reference_a_model_sees_no_noise(stills):
+    rows = run_all(stills, only="fed,stills")
+    assert set(rows["fed the references"]) == {"wskp-3"}
+    fed = rows["fed the references"]["wskp-3"]["one"]["psnr"]
+    assert fed > rows["stills, 4 samples a pixel"]["wskp-3"]["one"]["psnr"]
+
+
+def test_a_sequence_with_all_references_is_measured_frame_by_frame(tmp_path):
+    write_sequence(tmp_path / "shadow", 4, [0, 1, 2, 3])
+    rows = run_all(tmp_path)["shadow"]
+    assert set(rows) == {"noisy", "wskp-3", "wskp-3, one frame", "SVGF"}
+    assert list(rows["noisy"]) == [f"frame {index}" for index in range(4)]
+    truth = clean_color(*SIZE).astype(np.float32)
+    for index in range(4):
+        expected = metrics.evaluate([make_frame(*SIZE, index).color], [truth], names=["psnr"])[
+            "psnr"
+        ]
+        # files hold half precision
+        assert rows["noisy"][f"frame {index}"]["psnr"] == pytest.approx(expected, abs=2e-3)
+    alone, past = rows["wskp-3, one frame"], rows["wskp-3"]
+    assert alone["frame 0"] == past["frame 0"]
+    assert past["frame 3"]["psnr"] > alone["frame 3"]["psnr"]
+    assert "flicker" in past["frame 1"]
+    assert "flicker" not in past["frame 0"]
+
+
+def test_a_picture_worse_than_its_input_is_listed(stills, capsys):
+    rows = run_all(stills, only="stills")["stills, 16 samples a pixel"]
+    assert rows["wskp-3"]["one"]["psnr"] < rows["noisy"]["one"]["psnr"]
+    listed = capsys.readouterr().out.split("## Worse than the input")[1]
+    (line,) = (line for line in listed.splitlines() if "16 samples a pixel" in line)
+    assert line.startswith("| stills, 16 samples a pixel | one | wskp-3 | psnr ")
+    assert "4 samples a pixel | one | wskp-3 | psnr" not in listed.replace("16", "")
+
+
+def test_a_bias_counts_as_worse_only_beyond_a_percent():
+    rows = {"noisy": {"one": {"bias": -0.2}, "two": {"bias": -0.2}, "three": {"bias": -3.0}}}
+    rows["ours"] = {"one": {"bias": 0.9}, "two": {"bias": -1.1}, "three": {"bias": -2.0}}
+    (found,) = scores.worse_than_input({"set": rows}, ["ours"])
+    assert (found.case, found.metric.name, found.value, found.noisy) == ("two", "bias", -1.1, -0.2)
+
+
+def test_peers_are_taken_from_a_former_run(stills):
     pytest.importorskip("pyoidn")
-    scores = run(folder, peer=["oidn-fast"])
-    method = "OIDN fast, fed the references"
-    assert scores[method]["two"]["psnr"] > scores["OIDN fast"]["two"]["psnr"] + 3
-    assert scores[method]["two"]["flicker"] < 0.5 * scores["OIDN fast"]["two"]["flicker"]
+    first = run_all(stills, only="stills", peer=["oidn-fast"])
+    former = stills / "former.json"
+    changed = json.loads((stills / "scores.json").read_text())
+    for values in changed.values():
+        values["OIDN fast"]["one"]["psnr"] = 12.5
+        values["wskp-3"]["one"]["psnr"] = 1.5
+    former.write_text(json.dumps(changed))
+    second = run_all(stills, only="stills", peers=False, peers_from=former, metrics="psnr,smape")
+    for title, rows in second.items():
+        assert rows["OIDN fast"]["one"]["psnr"] == 12.5
+        assert set(rows["OIDN fast"]["one"]) == {"psnr", "smape"}
+        # models are never taken over
+        assert rows["wskp-3"]["one"]["psnr"] == first[title]["wskp-3"]["one"]["psnr"]
+
+
+def test_several_folders_have_sets_of_their_own(folder, stills, tmp_path):
+    out = tmp_path / "scores.json"
+    evaluate.main(
+        [str(folder), f"Blender={stills}"], model=["nbg-2x1"], peers=False, only="sequences",
+        metrics="psnr", out=out,
+    )  # fmt: skip
+    found = json.loads(out.read_text())
+    assert list(found) == ["sequences", "Blender, sequences"]
+    assert set(found["sequences"]["noisy"]) == {"one", "two"}
+
+
+def test_a_still_without_its_reference_is_refused(tmp_path):
+    write_sequence(tmp_path / "one", 2, [1])
+    write_still(tmp_path, "one", 4, 1.0)
+    with pytest.raises(InputError, match=r"a still must have a reference, got none at .*ref_0002"):
+        run_all(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"only": "still"}, "only must be out of sequences, frames, stills, fed, got still"),
+        ({"metrics": "psnr,mse"}, "metrics must be out of .*, got mse"),
+        ({"stills": "4,x"}, "stills must be numbers such as 4,16, got 4,x"),
+    ],
+)
+def test_a_wrong_choice_is_refused(folder, options, message):
+    with pytest.raises(InputError, match=message):
+        run_all(folder, **options)
 
 
 def test_flicker_needs_consecutive_references(folder, capsys):
-    scores = run(folder)
-    assert "flicker" in scores["SVGF"]["two"]
-    assert "flicker" not in scores["SVGF"]["one"]
-    tables = capsys.readouterr().out.strip().split("\n\n")
-    assert ["flicker" in table.splitlines()[0] for table in tables] == [False, False, True]
+    found = run(folder)
+    assert "flicker" in found["SVGF"]["two"]
+    assert "flicker" not in found["SVGF"]["one"]
+    headings = [line for line in capsys.readouterr().out.splitlines() if "PSNR" in line]
+    assert ["flicker" in line for line in headings] == [False, False, True]
 
 
 def test_the_last_referenced_frame_counts_not_the_last_frame(folder):
     truth = clean_color(*SIZE).astype(np.float32)
     third, last = (
-        metrics.evaluate([make_frame(*SIZE, index).color], [truth])["psnr"] for index in (3, 4)
+        metrics.evaluate([make_frame(*SIZE, index).color], [truth], names=["psnr"])["psnr"]
+        for index in (3, 4)
     )
     assert abs(third - last) > 0.01
     # files hold half precision
@@ -100,7 +230,7 @@ def test_a_peer_that_remembers_sees_the_frames_before(folder):
     stream = find_peer("svgf").make()
     images = [stream.denoise(read_exr(folder / "two" / f"frame_{i:04d}.exr")) for i in range(4)]
     reference = read_exr(folder / "two" / "ref_0003.exr").color
-    expected = metrics.evaluate(images[-1:], [reference])["psnr"]
+    expected = metrics.evaluate(images[-1:], [reference], names=["psnr"])["psnr"]
     # an opened model makes the thread take denormals for 0: half floats below 6e-5 read as black
     assert run(folder)["SVGF"]["two"]["psnr"] == pytest.approx(expected, abs=1e-4)
 
@@ -117,17 +247,6 @@ def test_two_runs_give_the_same_scores(folder):
     assert run(folder) == run(folder)
 
 
-def test_the_page_of_clean_input_says_what_was_measured(folder, tmp_path):
-    page = tmp_path / "page.md"
-    evaluate_clean.main(folder, model=["nbg-2x1"], peer=["svgf"], report=page, pictures=None)
-    text = page.read_text()
-    assert "48x40" in text
-    assert "frames a sequence: 3 or 4" in text
-    assert "No model was trained on such frames" in text
-    rows = run(folder, model=["nbg-2x1"])
-    assert f"| nbg-2x1 | {evaluate.mean_scores(rows)['nbg-2x1']['psnr']:.2f} |" in text
-
-
 def test_no_peers_when_none_are_wanted(folder):
     assert "SVGF" not in run(folder, peer=None, peers=False)
 
@@ -135,11 +254,11 @@ def test_no_peers_when_none_are_wanted(folder):
 def test_installed_peers_run_when_none_is_named(monkeypatch):
     svgf, bmfr = (peer for peer in PEERS if peer.name in ("svgf", "bmfr"))
     absent = dataclasses.replace(bmfr, module="no_such_module")
-    monkeypatch.setattr(evaluate, "PEERS", (svgf, absent))
-    assert evaluate.choose_peers(None) == ["svgf"]
-    assert "bmfr" in evaluate.left_out(None)
-    assert "pip install" in evaluate.left_out(None)
-    assert "bmfr" not in evaluate.left_out(["svgf"])
+    monkeypatch.setattr(methods, "PEERS", (svgf, absent))
+    assert methods.choose_peers(None) == ["svgf"]
+    assert "bmfr" in methods.left_out(None)
+    assert "pip install" in methods.left_out(None)
+    assert "bmfr" not in methods.left_out(["svgf"])
 
 
 def test_a_missing_metric_is_told_in_one_line_and_leaves_the_table(folder, capsys, monkeypatch):
@@ -151,7 +270,8 @@ def test_a_missing_metric_is_told_in_one_line_and_leaves_the_table(folder, capsy
         if metric.is_installed
     ]
     monkeypatch.setattr(metrics, "METRICS", tuple(absent))
-    monkeypatch.setattr(evaluate, "METRICS", tuple(absent))
+    for module in (methods, report, scores):
+        monkeypatch.setattr(module, "METRICS", tuple(absent))
     run(folder)
     shown = capsys.readouterr()
     told = [line for line in shown.err.splitlines() if "left out" in line]
@@ -181,11 +301,10 @@ def test_a_folder_without_references_is_refused(tmp_path):
 
 
 def test_the_report_says_how_far_models_are_from_their_peers(folder, tmp_path):
-    report = tmp_path / "results.md"
-    scores = run(folder, model=["kpyr-5s", "nbg-2x3"], peer=["svgf"], report=report)
-    mean = evaluate.mean_scores(scores)
+    page = tmp_path / "results.md"
+    mean = scores.mean_scores(run(folder, model=["kpyr-5s", "nbg-2x3"], report=page))
     (row,) = (
-        line for line in report.read_text().splitlines() if line.startswith("| nbg-2x3 against")
+        line for line in page.read_text().splitlines() if line.startswith("| nbg-2x3 against")
     )
     psnr, ssim, smape = (cell.strip() for cell in row.split("|")[2:5])
     for cell, name in ((psnr, "psnr"), (ssim, "ssim")):
@@ -195,4 +314,4 @@ def test_the_report_says_how_far_models_are_from_their_peers(folder, tmp_path):
     ratio = mean["nbg-2x3"]["smape"] / mean["SVGF"]["smape"]
     assert smape.strip("*") == f"x {ratio:.3g}"
     assert smape.startswith("**") == (ratio > 1)
-    assert '| kpyr-5s ("fast") against SVGF |' in report.read_text()
+    assert '| kpyr-5s ("fast") against SVGF |' in page.read_text()

@@ -21,8 +21,9 @@ import typer
 from stillray.batch.file_layout import Layout
 from stillray.batch.resume import Recipe
 from stillray.batch.run import run_steps
-from stillray.batch.shot import MEMORY_FRAMES, plan_shot, steps_to_run
+from stillray.batch.shot import plan_shot, steps_to_run
 from stillray.cli import program
+from stillray.families.temporal_kernels import MEMORY_FRAMES
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr, write_channels, write_exr
 from stillray.pipeline.denoiser import Denoiser
@@ -94,7 +95,7 @@ def benchmark(
 
 def main(
     sequence: Annotated[Path, typer.Argument(help="Folder with frame_*.exr.")] = SEQUENCE,
-    model: Annotated[str, typer.Option(help="Quality, model name or .onnx.")] = "balanced",
+    model: Annotated[str, typer.Option(help="Quality, model name or .onnx.")] = "high",
     frames: Annotated[int, typer.Option(help="Frames of the shot.")] = 12,
     rounds: Annotated[int, typer.Option(help="Rounds, the ways in turn.")] = 3,
     height: Annotated[int, typer.Option(help="Pixels.")] = 720,

@@ -15,4 +15,4 @@ def train() -> None:
 
 def evaluate() -> None:
     """``stillray-evaluate``"""
-    run_extra("stillray_training.evaluate", "main", "train,compare")
+    run_extra("stillray_training.evaluate.__main__", "main", "train,compare")

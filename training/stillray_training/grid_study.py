@@ -29,7 +29,7 @@ from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import BilateralGrids, FusedKernels
 from stillray.models.registry import find_model
 from stillray.pipeline.denoiser import Denoiser
-from stillray_training.evaluate import find_scenes, last_referenced
+from stillray_training.evaluate.cases import find_scenes, last_referenced
 
 KERNELS = "wskp-6"
 _AUXILIARY = ("albedo.r", "albedo.g", "albedo.b", "normal.x", "normal.y", "normal.z", "depth")

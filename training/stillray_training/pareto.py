@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from stillray.compare.metrics import Metric
 
-_WITH_UNIT = ("psnr", "fovvideovdp")  # metrics whose title ends with a unit
+_WITH_UNIT = ("psnr", "cvvdp")  # metrics whose title ends with a unit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,11 +39,14 @@ def pareto_front(methods: Sequence[Priced], metric: Metric) -> list[Priced]:
     metric
         What is better, says it.
     """
-    sign = 1 if metric.higher_is_better else -1
     measured = [method for method in methods if metric.name in method.scores]
+
+    def loss(method: Priced) -> float:
+        return metric.loss(method.scores[metric.name])
+
     front: list[Priced] = []
-    for method in sorted(measured, key=lambda m: (m.milliseconds, -sign * m.scores[metric.name])):
-        if not front or sign * (method.scores[metric.name] - front[-1].scores[metric.name]) > 0:
+    for method in sorted(measured, key=lambda m: (m.milliseconds, loss(m))):
+        if not front or loss(method) < loss(front[-1]):
             front.append(method)
     return front
 
@@ -67,7 +70,7 @@ def advice(methods: Sequence[Priced], metric: Metric) -> str:
         f"{name}: for {now.milliseconds:.0f} ms use {now.label} ({shown(now.scores[metric.name])})"
     ]
     for step in front[1:]:
-        gain = abs(step.scores[metric.name] - now.scores[metric.name])
+        gain = metric.loss(now.scores[metric.name]) - metric.loss(step.scores[metric.name])
         if float(format(gain, metric.format)) == 0:
             continue
         parts.append(

@@ -20,7 +20,8 @@ from stillray.io.exr.read_write import read_exr
 from stillray.model_spec.loader import FusedKernels
 from stillray.models.registry import ModelInfo, find_model, tuned
 from stillray.pipeline.denoiser import Denoiser
-from stillray_training.evaluate import find_scenes, last_referenced, run_stream
+from stillray_training.evaluate.cases import find_scenes, last_referenced
+from stillray_training.evaluate.methods import run_stream
 from stillray_training.pareto import Priced, pareto_front
 from stillray_training.peers import PeerDenoiser, find_peer
 

@@ -18,7 +18,7 @@ from stillray.cli.output import console
 from stillray.models.registry import list_models
 from stillray.profiling.machine import describe
 from stillray.profiling.plot import require_drawable
-from stillray_training.evaluate import choose_peers, left_out
+from stillray_training.evaluate.methods import choose_peers, left_out
 from stillray_training.pareto import advice, pareto_front
 from stillray_training.tradeoff import NOISY, Tradeoff, measure, model_options, peer_options
 

@@ -37,9 +37,13 @@ class Strips:
     ----------
     threads
         Worker threads, 1 or more; 1 runs in the caller's thread.
+    pixels
+        Of a strip, at most, but where a call asks for fewer, which then get fewer in proportion.
+        Tests take few, so that small frames have several strips.
     """
 
-    def __init__(self, threads: int) -> None:
+    def __init__(self, threads: int, *, pixels: int = STRIP_PIXELS) -> None:
+        self._pixels = pixels
         self._pool = ThreadPoolExecutor(threads, "stillray") if threads > 1 else None
         self._local = threading.local()
 
@@ -77,11 +81,15 @@ class Strips:
         list
             What each call returned, from the top.
         """
-        strips = strips_of(height, width, pixels)
+        strips = self.of(height, width, pixels=pixels)
         if self._pool is None or len(strips) == 1:
             return [work(strip) for strip in strips]
         # list() waits for all and raises what any of them raised
         return list(self._pool.map(work, strips))
+
+    def of(self, height: int, width: int, *, pixels: int = STRIP_PIXELS) -> list[slice]:
+        """The rows of each strip of a frame, as `run` would cut it."""
+        return strips_of(height, width, max(pixels * self._pixels // STRIP_PIXELS, 1))
 
     def close(self) -> None:
         """Stop the threads."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 from stillray.batch.farm import run_tasks
@@ -54,7 +56,7 @@ class Work:
     threads: int | None = None
     max_memory: int | None = None
 
-    def run(self, model: ModelInfo, steps: Sequence[Step], report: Callable[[Done], None]) -> None:
+    def run(self, model: ModelInfo, steps: Iterable[Step], report: Callable[[Done], None]) -> None:
         """Denoise frames in order, here.
 
         Parameters
@@ -71,14 +73,16 @@ class Work:
         InputError
             A frame cannot be read or written. Those before it are complete.
         """
-        if not steps:
+        todo = iter(steps)
+        first = next(todo, None)
+        if first is None:  # opens no model
             return
         with Denoiser(
             model, threads=self.threads, temporal=self.temporal, max_memory=self.max_memory
         ) as denoiser:
             run_steps(
                 denoiser,
-                steps,
+                chain([first], todo),
                 self.layout,
                 self.recipe,
                 report,
@@ -185,9 +189,9 @@ def run_chunks(
     work: Work,
     report: Callable[[Done], None],
     *,
-    workers: int = 2,
+    workers: int | None = 2,
     scheduler: str | None = None,
-    wait: Callable[[str], None] = lambda line: None,
+    hooks: tuple[Callable[[str], None], Callable[[], bool]] = (lambda line: None, lambda: True),
 ) -> int:
     """Denoise the chunks of a shot wherever there is room.
 
@@ -202,8 +206,11 @@ def run_chunks(
         How.
     report
         Called with each frame that was run, chunk by chunk as they end.
-    workers, scheduler, wait
+    workers, scheduler
         As `stillray.batch.farm.run_tasks` takes them.
+    hooks
+        Called with a line for the user where there is nothing to do but to wait; and asked after
+        each chunk whether to go on.
 
     Returns
     -------
@@ -226,15 +233,19 @@ def run_chunks(
             report(done)
         if result.error is not None:
             errors[name] = result.error
+        if not hooks[1]():
+            raise _Cancelled
 
-    failures = run_tasks(
-        partial(denoise_chunk, work=work),
-        chunks,
-        end,
-        workers=workers,
-        scheduler=scheduler,
-        wait=wait,
-    )
+    failures: dict[str, str] = {}
+    with suppress(_Cancelled):
+        failures = run_tasks(
+            partial(denoise_chunk, work=work),
+            chunks,
+            end,
+            workers=workers or 1,
+            scheduler=scheduler,
+            wait=hooks[0],
+        )
     for jobs in chunks.values():  # of workers that were killed
         remove_leftovers(jobs)
     errors |= failures
@@ -243,6 +254,10 @@ def run_chunks(
         others = f"; and {len(errors) - 1} more chunks failed" if len(errors) > 1 else ""
         raise InputError(f"frames {name}: {reason}{others}; what is done is kept")
     return already
+
+
+class _Cancelled(Exception):  # noqa: N818  no error
+    pass
 
 
 def _absolute(job: Job, *, writes: bool) -> Job:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -113,7 +113,7 @@ def remove_leftovers(jobs: Sequence[Job]) -> None:
 
 def run_steps(
     denoiser: Denoiser,
-    steps: Sequence[Step],
+    steps: Iterable[Step],
     layout: Layout,
     recipe: Recipe,
     report: Callable[[Done], None],

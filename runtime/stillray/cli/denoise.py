@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from stillray.cli import dry_run, reports
 from stillray.errors import InputError
 
-if TYPE_CHECKING:
-    from stillray.batch.run import Done
-
-#: Frames of a chunk unless told otherwise: twice as many as are run before it for its history.
-CHUNK_FRAMES = 64
+_CHUNK_FRAMES = 64  # as `stillray.batch.api` has it, which is not loaded for a help text
 _FILE = "EXR file that holds the {}, or a pattern, glob or folder for a sequence."
 
 
@@ -112,7 +108,7 @@ def denoise(
     chunk: Annotated[
         int | None,
         typer.Option(
-            help=f"Frames of a chunk, {CHUNK_FRAMES} unless given; those of --warm-up come on top."
+            help=f"Frames of a chunk, {_CHUNK_FRAMES} unless given; those of --warm-up come on top."
         ),
     ] = None,
     threads: Annotated[
@@ -174,100 +170,35 @@ def denoise(
         raise InputError("INPUT must be given: an EXR file or a sequence as 'shot.####.exr'")
     if not output:
         raise InputError("output must be given: -o FILE, PATTERN or FOLDER")
-    from stillray.batch.file_layout import Layout
-    from stillray.batch.resume import Recipe, file_digest
-    from stillray.batch.shot import MEMORY_FRAMES, first_run, plan_shot, steps_to_run
+    from stillray.batch.api import ShotOptions, plan_run
     from stillray.io.channels.roles import parse_overrides
-    from stillray.models.registry import find_model
     from stillray.pipeline.tiles import parse_memory
 
-    spread = _spreads(scheduler, workers, chunk)
-    layers = parse_overrides(layer or [])
     companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
-    jobs = plan_shot(
-        sources,
-        output,
-        {role: pattern for role, pattern in companions.items() if pattern is not None},
-        frames=frames,
-        on_missing=on_missing,
-        warm_up=(warm_up or 0) if temporal else 0,
-        layers=layers,
-    )
-    layout = Layout.of(
-        first_run(jobs),
-        layers=layers,
+    options = ShotOptions(
+        companions={role: pattern for role, pattern in companions.items() if pattern is not None},
+        layers=parse_overrides(layer or []),
         aovs=None if aovs is None else () if aovs == "all" else tuple(aovs.split(",")),
         only_color=only_color,
-        temporal=temporal and motion is None,
-    )
-    limit = None if max_memory is None else parse_memory(max_memory)
-    cuts = cuts and temporal
-    chosen = find_model(model)
-    memory = 0 if not temporal else MEMORY_FRAMES if warm_up is None else warm_up
-    recipe = Recipe(
-        model=chosen.name,
-        model_digest=file_digest(chosen.path),
-        options={"temporal": temporal, "cuts": cuts, **layout.options()},
-    )
-    done = [False] * len(jobs)
-    start = reports.clock()
-    if resume and (dry or not spread):  # workers look for themselves
-        from stillray.batch.run import finished
-
-        done = finished(jobs, recipe, memory=memory, layers=layers)
-    steps = steps_to_run(jobs, done, memory=memory)
-    if dry:
-        facts = dry_run.collect(jobs, steps, layout, chosen.spec, temporal=temporal)
-        dry_run.show(facts, as_json=as_json)
-        return
-    from stillray.batch.chunks import Work, run_chunks, split
-    from stillray.batch.run import remove_leftovers
-
-    work = Work(
-        model=str(chosen.path.absolute()) if model.endswith(".onnx") else chosen.name,
-        recipe=recipe,
-        layout=layout,
-        memory=memory,
+        frames=frames,
+        on_missing=on_missing,
+        warm_up=warm_up,
         temporal=temporal,
         cuts=cuts,
+        resume=resume,
         threads=threads,
-        max_memory=limit,
+        max_memory=None if max_memory is None else parse_memory(max_memory),
+        workers=workers,
+        scheduler=scheduler,
+        chunk=chunk,
     )
-    size = CHUNK_FRAMES if chunk is None else chunk
-    chunks = split(jobs, size, memory=memory) if spread else {}
-    remove_leftovers(jobs)
-    kind = "json" if as_json else "quiet" if quiet else "text"
-    ran: list[Done] = []
-    already = sum(done)
-    total = sum(map(len, chunks.values())) or len(steps)
-    with reports.report_to(kind, total, verbose=verbose) as report:
-        if layout.detection is not None:
-            report.motion(layout.detection)
-
-        def tell(frame: Done) -> None:
-            ran.append(frame)
-            report.frame(frame)
-
-        if spread:
-            already = run_chunks(
-                chunks, work, tell, workers=workers or 1, scheduler=scheduler, wait=report.wait
-            )
-        else:
-            work.run(chosen, steps, tell)
-        report.end(
-            reports.summarise(
-                ran, model=chosen.name, already=already, seconds=reports.clock() - start
-            )
+    planned = plan_run(sources, output, model, options, look=dry)
+    if dry:
+        facts = dry_run.collect(
+            planned.jobs, planned.steps, planned.layout, planned.model.spec, temporal=temporal
         )
-
-
-def _spreads(scheduler: str | None, workers: int | None, chunk: int | None) -> bool:
-    """Whether the shot is split in chunks."""
-    if workers is not None and workers < 1:
-        raise InputError(f"workers must be 1 or more, got {workers}")
-    if workers is not None and scheduler is not None:
-        raise InputError(f"workers must not be given with a scheduler, got {workers}")
-    spread = scheduler is not None or (workers or 1) > 1
-    if chunk is not None and not spread:
-        raise InputError(f"chunk must be given with --scheduler or --workers, got {chunk} alone")
-    return spread
+        dry_run.show(facts, as_json=as_json)
+        return
+    kind = "json" if as_json else "quiet" if quiet else "text"
+    with reports.report_to(kind, planned.count, verbose=verbose) as report:
+        report.end(reports.summarise(planned.run(report)))

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import statistics
 import sys
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
+    from stillray.batch.api import ShotResult
     from stillray.batch.run import Done
     from stillray.io.channels.motion_detection import Detection
 
@@ -31,30 +31,19 @@ class Report(Protocol):
         """All are; see `summarise`."""
 
 
-def summarise(done: Sequence[Done], *, model: str, already: int, seconds: float) -> dict[str, Any]:
-    """Figures of a whole run.
-
-    Parameters
-    ----------
-    done
-        Every frame that was run.
-    model
-        Its name.
-    already
-        Frames that needed no work.
-    seconds
-        From the first file's opening to the last one's end.
-    """
+def summarise(result: ShotResult) -> dict[str, Any]:
+    """Figures of a whole run."""
+    done = result.frames
     written = [d.denoise_ms for d in done if d.step.writes]
     return {
         "frames_written": len(written),
         "frames_warm_up": len(done) - len(written),
-        "frames_done_already": already,
+        "frames_done_already": result.already,
         "cuts": [d.step.job.number for d in done if d.cut is not None],
-        "model": model,
+        "model": result.model,
         "denoise_ms_median": statistics.median(written) if written else None,
         "denoise_seconds": sum(d.denoise_ms for d in done) / 1e3,
-        "seconds": seconds,
+        "seconds": result.seconds,
     }
 
 
@@ -232,8 +221,3 @@ def _last_line(summary: dict[str, Any], *, verbose: bool) -> str:
 def frames(count: int) -> str:
     """A number of frames in words."""
     return "1 frame" if count == 1 else f"{count} frames"
-
-
-def clock() -> float:
-    """Seconds, for differences."""
-    return time.perf_counter()

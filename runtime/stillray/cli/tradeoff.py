@@ -7,7 +7,6 @@ imports nothing of it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -46,6 +45,8 @@ def tradeoff(
 
 
 def _evaluation() -> Callable[..., None]:
+    from importlib.metadata import entry_points
+
     offered = entry_points(group=GROUP, name="tradeoff")
     # the metrics are of this library
     if not offered or find_spec("skimage") is None:

@@ -1,7 +1,7 @@
 """Image metrics: exposure and tone mapping as the validation set states them, then the usual ones.
 
-PSNR, SSIM, FLIP, flicker and FovVideoVDP see tone-mapped images; SMAPE and relative MSE see exposed
-radiance. A metric whose package is not installed is left out; `require` makes that an error.
+SMAPE and relative MSE see exposed radiance, all others see tone-mapped images. A metric whose
+package is not installed is left out; `require` makes that an error.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from functools import cache
 from importlib.util import find_spec
 from typing import Any
 
+import cv2
 import numpy as np
 
 from stillray.compare.display import display_exposure, tone_map
@@ -23,6 +24,8 @@ RELATIVE_MSE_EPSILON = 0.01  # exposed radiance, squared units
 # degree. The image lies in its middle, pixel on pixel.
 DISPLAY = "standard_fhd"
 FRAMES_PER_SECOND = 30
+EDGE_BLUR = 1.0  # standard deviation of the Gaussian before slopes are taken, pixels
+EDGE_SHARE = 0.1  # the pixels where the reference is steepest count as edges
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +38,17 @@ class Metric:
     module: str  # what has to be importable
     package: str  # what to install for that
     higher_is_better: bool = False
+    is_signed: bool = False  # 0 is best, and both directions are bad
+
+    def loss(self, value: float) -> float:
+        """The value turned so that less is better."""
+        if self.is_signed:
+            return abs(value)
+        return -value if self.higher_is_better else value
+
+    def summary(self, values: Sequence[float]) -> float:
+        """One value for several images: their mean; of signed ones, which cancel, the worst."""
+        return float(max(values, key=abs) if self.is_signed else np.mean(values))
 
     @property
     def is_installed(self) -> bool:
@@ -57,10 +71,15 @@ METRICS = (
     Metric(
         name="flip", title="FLIP ↓", format=".3f", module="flip_evaluator", package="flip-evaluator"
     ),
+    Metric(name="edge", title="edge error ↓", format=".4f", module="cv2", package="opencv-python"),
+    Metric(
+        name="bias", title="bias % → 0", format="+.2f", module="numpy", package="numpy",
+        is_signed=True,
+    ),
     Metric(name="flicker", title="flicker ↓", format=".4f", module="numpy", package="numpy"),
     Metric(
-        name="fovvideovdp", title="FovVideoVDP JOD ↑", format=".2f", module="pyfvvdp",
-        package="pyfvvdp", higher_is_better=True,
+        name="cvvdp", title="ColorVideoVDP JOD ↑", format=".2f", module="pycvvdp", package="cvvdp",
+        higher_is_better=True,
     ),
 )  # fmt: skip
 
@@ -95,15 +114,17 @@ def evaluate(
     Returns
     -------
     dict
-        ``psnr`` in dB, ``ssim`` and ``fovvideovdp`` in JOD (higher is better), ``smape``,
-        ``relmse``, ``flip`` and ``flicker`` (lower is better). ``flicker`` and ``fovvideovdp``
-        take two frames or more.
+        ``psnr`` in dB, ``ssim`` and ``cvvdp`` in JOD (higher is better), ``smape``, ``relmse``,
+        ``flip``, ``edge`` and ``flicker`` (lower is better), ``bias`` in percent (0 is best).
+        ``flicker`` takes two frames or more; ``cvvdp`` sees one as a still.
     """
     image, reference = images[-1], references[-1]
     exposure = display_exposure(reference)
     shown, wanted = tone_map(image, exposure), tone_map(reference, exposure)
     a, b = image.astype(np.float64) * exposure, reference.astype(np.float64) * exposure
     values = {
+        "edge": edge_error(shown, wanted),
+        "bias": brightness_bias(shown, wanted),
         "smape": float(np.mean(np.abs(a - b) / (np.abs(a) + np.abs(b) + SMAPE_EPSILON))),
         "relmse": float(np.mean((a - b) ** 2 / (b**2 + RELATIVE_MSE_EPSILON))),
     }
@@ -124,8 +145,8 @@ def evaluate(
         _, values["flip"] = flip(image, reference)
     if len(images) > 1:
         values["flicker"] = flicker(images[-2], image, references[-2], reference)
-        if "fovvideovdp" in measured:
-            values["fovvideovdp"] = fovvideovdp(images, references)
+    if "cvvdp" in measured:
+        values["cvvdp"] = color_video_vdp(images, references)
     return {
         metric.name: values[metric.name]
         for metric in METRICS
@@ -182,19 +203,62 @@ def flicker(
     return float(np.mean(np.abs(change - wanted)))
 
 
-def fovvideovdp(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) -> float:
-    """Quality of a video as seen on `DISPLAY` (Mantiuk et al. 2021, FovVideoVDP, not foveated).
+def edge_error(shown: np.ndarray, wanted: np.ndarray) -> float:
+    """Error of slopes at edges: blur, stairs and stipple raise it, noise on flat walls does not.
+
+    Both images are blurred by a Gaussian of `EDGE_BLUR`, so that one pixel's noise is no slope.
+    Edges are the `EDGE_SHARE` of the pixels where the reference's slope, the length of its gradient
+    over both directions and three channels, is largest.
+
+    Parameters
+    ----------
+    shown, wanted : (h, w, 3) float
+        Tone-mapped image and reference, in [0, 1].
+
+    Returns
+    -------
+    float
+        Mean length of the difference of the two gradients at edges, in tone-mapped units a pixel.
+    """
+    slopes, wanted_slopes = _slopes(shown), _slopes(wanted)
+    steepness = np.linalg.norm(wanted_slopes, axis=-1)
+    count = max(1, round(EDGE_SHARE * steepness.size))
+    edges = np.argpartition(steepness, -count, axis=None)[-count:]
+    errors = np.linalg.norm(slopes - wanted_slopes, axis=-1)
+    return float(np.mean(errors.reshape(-1)[edges]))
+
+
+def _slopes(shown: np.ndarray) -> np.ndarray:
+    """Differences a pixel in x and y of the blurred image, ``(h, w, 6)``."""
+    soft = cv2.GaussianBlur(np.asarray(shown, np.float64), (0, 0), EDGE_BLUR)
+    down, right = np.gradient(soft, axis=(0, 1))
+    return np.concatenate([right, down], axis=-1)
+
+
+def brightness_bias(shown: np.ndarray, wanted: np.ndarray) -> float:
+    """How much too bright the image is, in percent of the reference's mean.
+
+    Parameters
+    ----------
+    shown, wanted : (h, w, 3) float
+        Tone-mapped image and reference, in [0, 1].
+    """
+    mean = float(np.mean(wanted))
+    return 100 * (float(np.mean(shown)) / mean - 1) if mean > 0 else 0.0
+
+
+def color_video_vdp(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) -> float:
+    """Quality as seen on `DISPLAY`, in colour (Mantiuk et al. 2024, ColorVideoVDP).
 
     The metric looks back a quarter of a second. A sequence that is shorter goes on before its first
-    frame as a still of that frame: with two frames, what is seen is one change.
-
-    Its package is licensed for non-commercial use (CC BY-NC 4.0).
+    frame as a still of that frame: with two frames, what is seen is one change. One frame is seen
+    as a still image.
 
     Parameters
     ----------
     images, references : (h, w, 3) float32 each
-        Scene-linear radiance of two or more consecutive frames, `FRAMES_PER_SECOND`; exposed for
-        the last reference.
+        Scene-linear radiance of consecutive frames, `FRAMES_PER_SECOND`; exposed for the last
+        reference.
 
     Returns
     -------
@@ -207,15 +271,41 @@ def fovvideovdp(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) 
         np.stack([tone_map(frame, exposure) for frame in frames]).astype(np.float32)
         for frames in (images, references)
     )
-    quality, _ = _fovvideovdp().predict(
-        shown, wanted, dim_order="FHWC", frames_per_second=FRAMES_PER_SECOND
-    )
+    if len(images) == 1:
+        quality, _ = _color_video_vdp().predict(shown[0], wanted[0], dim_order="HWC")
+    else:
+        quality, _ = _color_video_vdp().predict(
+            shown, wanted, dim_order="FHWC", frames_per_second=FRAMES_PER_SECOND
+        )
     return float(quality)
 
 
 @cache
-def _fovvideovdp() -> Any:
-    from pyfvvdp import fvvdp
+def _color_video_vdp() -> Any:
+    _import_torchvision()
+    import torch
+    from pycvvdp import cvvdp
 
     # on the processor wherever it runs, so that figures compare
-    return fvvdp(display_name=DISPLAY, quiet=True, device="cpu")
+    return cvvdp(display_name=DISPLAY, quiet=True, device=torch.device("cpu"))
+
+
+def _import_torchvision() -> None:
+    """Import what ColorVideoVDP blurs with, also beside a torch without CUDA.
+
+    The compiled operators of PyPI's torchvision do not load there. They are not needed, but its
+    import stops where names are missing.
+    """
+    import torch
+
+    try:
+        import torchvision
+    except RuntimeError:
+        library = torch.library.Library("torchvision", "DEF")
+        for name in ("nms", "qnms"):
+            library.define(f"{name}(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+        _declared.append(library)
+        import torchvision  # noqa: F401
+
+
+_declared: list[Any] = []  # a library's declarations live as long as it does

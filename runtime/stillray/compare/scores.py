@@ -10,7 +10,7 @@ import numpy as np
 from stillray.compare import metrics
 from stillray.compare.metrics import METRICS, Metric
 
-#: What is measured; FovVideoVDP is left out: slow, and not free for commercial use.
+#: What is measured; ColorVideoVDP is left out: it needs torch, and seconds a frame.
 NAMES = ("psnr", "ssim", "smape", "relmse", "flip", "flicker")
 #: SSIM's window, pixels: nothing smaller can be measured.
 SMALLEST_SIDE = 7
@@ -84,7 +84,7 @@ def table(rows: Sequence[Values], shown: Sequence[Metric]) -> list[list[Cell]]:
     for metric in shown:
         there = [row[metric.name] for row in rows if metric.name in row]
         if len(there) > 1:
-            best[metric.name] = max(there) if metric.higher_is_better else min(there)
+            best[metric.name] = min(there, key=metric.loss)
     return [
         [
             Cell(

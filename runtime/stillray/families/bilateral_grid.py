@@ -24,7 +24,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from stillray.arrays.strips import Strips, strips_of
+from stillray.arrays.strips import Strips
 from stillray.arrays.workspace import Scratch
 from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.model_spec.loader import BilateralGrids, ModelSpec
@@ -129,7 +129,7 @@ def filter_grids(
     # strips of whole cells of the coarsest grid
     units = -(-height // unit), unit * width
     grids = [
-        _Grid(maps[scale], options, scale, strips_of(*units), strips.scratch)
+        _Grid(maps[scale], options, scale, strips.of(*units), strips.scratch)
         for scale in range(options.grids)
     ]
 

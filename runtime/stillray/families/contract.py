@@ -42,11 +42,11 @@ class Traits:
     """
 
     required: frozenset[str]
+    memory: int | None
     optional: frozenset[str] = frozenset()
     scale: int = 1
     tile_alignment: int = 1
     tile_overlap: int | None = None
-    memory: int | None = 32
     linear: bool = True
 
 

@@ -27,6 +27,9 @@ from stillray.stages.prepare import prepare_planned
 from stillray.stages.state import Filterable, History, Prepared
 from stillray.timing import timed
 
+#: Frames that a frame's history is taken to go back; measured, see docs/decisions.md.
+MEMORY_FRAMES = 32
+
 
 @dataclass(frozen=True, kw_only=True)
 class Looks:
@@ -82,6 +85,7 @@ class TemporalKernels(ABC):
             optional=frozenset(spec.inputs.optional),
             tile_alignment=looks.alignment,
             tile_overlap=looks.overlap,
+            memory=MEMORY_FRAMES,
         )
 
     #: What the reconstruction does, in a few words.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import tomllib
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -15,6 +16,10 @@ from stillray.models.session import open_session
 
 SPEC_KEY = "stillray.spec"
 PROVENANCE_KEY = "stillray.provenance"
+
+
+#: What runs unless another model is named, in Python and on the command line.
+DEFAULT_MODEL = "high"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,12 +49,13 @@ def list_models() -> list[ModelInfo]:
     >>> [model.name for model in stillray.list_models()]
     ['kpyr-5', 'kpyr-5s', 'nbg-2x1', 'nbg-2x3', 'nbg-7x3', 'wskp-3', 'wskp-6', 'wskp-mr']
     """
-    folder = Path(str(resources.files("stillray.models")))
-    return [
-        read_model(path)
-        for path in sorted(folder.glob("*.onnx"))
-        if not path.stem.endswith(WHOLE_SUFFIX)
-    ]
+    return [read_model(path) for path in _files().values()]
+
+
+def qualities() -> dict[str, str]:
+    """Quality to the name of the model that gives it, without opening any."""
+    text = (_folder() / "qualities.toml").read_text(encoding="utf-8")
+    return {str(quality): str(model) for quality, model in tomllib.loads(text).items()}
 
 
 #: Files of the whole denoise as one graph, for engines that embed ONNX Runtime themselves.
@@ -67,14 +73,24 @@ def find_model(name: str | os.PathLike[str]) -> ModelInfo:
     path = Path(name)
     if path.suffix == ".onnx":
         return read_model(path)
-    models = list_models()
-    for model in models:
-        if name == model.name or name in model.aliases:
-            return model
-    known = [model.name for model in models] + [a for model in models for a in model.aliases]
+    files, aliases = _files(), qualities()
+    wanted = aliases.get(str(name), str(name))
+    if wanted in files:
+        return read_model(files[wanted])
     raise InputError(
-        f"model must be one of {', '.join(known)} or the path of an .onnx file, got {name}"
+        f"model must be one of {', '.join([*files, *aliases])} or the path of an .onnx file, "
+        f"got {name}"
     )
+
+
+def _folder() -> Path:
+    return Path(str(resources.files("stillray.models")))
+
+
+def _files() -> dict[str, Path]:
+    """Packaged models by name."""
+    paths = sorted(_folder().glob("*.onnx"))
+    return {path.stem: path for path in paths if not path.stem.endswith(WHOLE_SUFFIX)}
 
 
 def read_model(path: Path) -> ModelInfo:

@@ -104,9 +104,8 @@ def open_session(
         options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
         options.enable_profiling = True
         options.profile_file_prefix = str(trace)
-    # A plan of all tensors in one block is laid out for the worst of sizes, beside what the arena
-    # holds by then: without it the peak of a process at 1280x720 falls from 1150 to 862 MiB
-    # (kpyr-5) and from 680 to 571 (wskp-3), and the time stays (0.90 to 1.04, in turn).
+    # a plan of all tensors in one block is laid out for the worst of sizes, beside what the arena
+    # holds by then: a sixth to a quarter more memory and no less time, see docs/decisions.md
     options.enable_mem_pattern = False
     # denoising is called between a host's own work: idle threads must not burn its cores
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")

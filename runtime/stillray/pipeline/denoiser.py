@@ -15,7 +15,7 @@ from stillray.families.contract import Context, Engine, Family, Request, State
 from stillray.families.registry import FAMILIES
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
-from stillray.models.registry import ModelInfo, find_model
+from stillray.models.registry import DEFAULT_MODEL, ModelInfo, find_model
 from stillray.models.session import Network
 from stillray.pipeline.layers import validated
 from stillray.pipeline.tiles import plan_tiles
@@ -62,7 +62,7 @@ class Denoiser:
 
     def __init__(
         self,
-        model: str | os.PathLike[str] | ModelInfo = "balanced",
+        model: str | os.PathLike[str] | ModelInfo = DEFAULT_MODEL,
         *,
         threads: int | None = None,
         providers: Sequence[str] | None = None,
@@ -247,7 +247,7 @@ def denoise(
     normal: np.ndarray | None = None,
     *,
     depth: np.ndarray | None = None,
-    quality: str | os.PathLike[str] = "balanced",
+    model: str | os.PathLike[str] | ModelInfo = DEFAULT_MODEL,
     threads: int | None = None,
 ) -> np.ndarray:
     """Denoise one image.
@@ -260,9 +260,7 @@ def denoise(
         Features; each makes the result better.
     depth : (h, w), optional
         Camera z or distance.
-    quality
-        As `Denoiser`'s ``model``.
-    threads
+    model, threads
         As `Denoiser`'s.
 
     Returns
@@ -274,5 +272,5 @@ def denoise(
     InputError
         A buffer or the model cannot be used.
     """
-    with Denoiser(quality, threads=threads, temporal=False) as denoiser:
+    with Denoiser(model, threads=threads, temporal=False) as denoiser:
         return denoiser.denoise(Frame(color=color, albedo=albedo, normal=normal, depth=depth))

@@ -50,7 +50,8 @@ def follow_nearer(
     bits = around.view(np.int32)
     bits &= ~_PLACE
     bits |= np.arange(width, dtype=np.int32) % 3
-    bits |= (np.arange(len(around), dtype=np.int32) % 3 << 2)[:, None]
+    # rows of the frame, not of the strip: among equal depths the place decides
+    bits |= (np.arange(near.start, near.stop, dtype=np.int32) % 3 << 2)[:, None]
     cv2.erode(around, _AROUND, dst=nearest)
     hidden = nearest[inner] < around[inner] * _NEARER
     at = np.flatnonzero(hidden)

@@ -26,7 +26,8 @@ from stillray_export.fuse import fuse
 from stillray_export.to_onnx import network_graph
 from stillray_training.ablation.study import folder_of, is_finished
 from stillray_training.ablation.variants import ONE_FRAME, Variant
-from stillray_training.evaluate import find_scenes, last_referenced, run_stream
+from stillray_training.evaluate.cases import find_scenes, last_referenced
+from stillray_training.evaluate.methods import run_stream
 from stillray_training.peers.kernel_predictor import KernelPredictor
 from stillray_training.train import CHECKPOINT, LOG, load_network
 

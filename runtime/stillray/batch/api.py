@@ -1,0 +1,354 @@
+"""A shot from files to files, as one call: `stillray denoise` without its words."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import takewhile
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from stillray.batch.chunks import Work, run_chunks, split
+from stillray.batch.file_layout import Layout
+from stillray.batch.resume import Recipe, file_digest
+from stillray.batch.run import Done, finished, remove_leftovers
+from stillray.batch.shot import Job, Step, first_run, plan_shot, steps_to_run
+from stillray.errors import InputError
+from stillray.families.registry import family_of
+from stillray.io.channels.motion_detection import Detection
+from stillray.models.registry import DEFAULT_MODEL, ModelInfo, find_model
+
+#: Frames of a chunk unless told otherwise: twice as many as are run before it for its history.
+CHUNK_FRAMES = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShotOptions:
+    """How a shot is denoised; every default is that of the command line.
+
+    Attributes
+    ----------
+    companions
+        Feature files, patterns, globs or folders by role: albedo, normal, depth, motion.
+    layers
+        Role to the layer, or channels, to take for it.
+    aovs
+        Layers of light to filter as the color; empty for all that are known, None for none.
+    only_color
+        Whether R, G and B are written and no other channels.
+    frames
+        Frames to write, as ``"10-80"``, ``"10-80x2"`` or ``"1,5,10-20"``; None for all.
+    on_missing
+        ``"error"``, or ``"skip"``: go on without frames that have no file, with a new history.
+    warm_up
+        Frames before the first that are run too, unwritten, so that it has a history; None for 0,
+        and in chunks and resumed runs for as many as the model remembers.
+    temporal
+        Whether frames are accumulated.
+    cuts
+        Whether cuts are looked for, which begin a new history.
+    resume
+        Whether outputs that were made from the same inputs in the same way are kept.
+    threads
+        Of each process, 1 or more; None for all processors, shared among local workers.
+    max_memory
+        Bytes that the process should stay below; None for whole frames.
+    workers
+        Local processes that take a chunk of the shot each; None for this process alone.
+    scheduler
+        Address of a Dask scheduler whose workers take a chunk each.
+    chunk
+        Frames of a chunk; None for `CHUNK_FRAMES`.
+    """
+
+    companions: Mapping[str, str] = field(default_factory=dict)
+    layers: Mapping[str, str] = field(default_factory=dict)
+    aovs: tuple[str, ...] | None = None
+    only_color: bool = False
+    frames: str | None = None
+    on_missing: str = "error"
+    warm_up: int | None = None
+    temporal: bool = True
+    cuts: bool = True
+    resume: bool = False
+    threads: int | None = None
+    max_memory: int | None = None
+    workers: int | None = None
+    scheduler: str | None = None
+    chunk: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and self.workers < 1:
+            raise InputError(f"workers must be 1 or more, got {self.workers}")
+        if self.workers is not None and self.scheduler is not None:
+            raise InputError(f"workers must not be given with a scheduler, got {self.workers}")
+        if self.chunk is not None and not self.in_chunks:
+            raise InputError(
+                f"chunk must be given with --scheduler or --workers, got {self.chunk} alone"
+            )
+
+    @property
+    def in_chunks(self) -> bool:
+        """Whether the shot is split in chunks."""
+        return self.scheduler is not None or (self.workers or 1) > 1
+
+
+@runtime_checkable
+class Progress(Protocol):
+    """Told of what happens, in the caller's thread."""
+
+    def motion(self, detection: Detection) -> None:
+        """The convention of the motion had to be proven, and this came of it."""
+
+    def wait(self, reason: str) -> None:
+        """Nothing happens until somebody else does something."""
+
+    def frame(self, done: Done) -> None:
+        """One frame is done."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShotResult:
+    """What came of a shot.
+
+    Attributes
+    ----------
+    model
+        Its name.
+    frames
+        Every frame that was run, as they were done.
+    already
+        Frames that needed no work.
+    cancelled
+        Whether the run was ended early.
+    seconds
+        From the first look at the files to the last one's end.
+    """
+
+    model: str
+    frames: tuple[Done, ...]
+    already: int
+    cancelled: bool
+    seconds: float
+
+
+def denoise_shot(
+    sources: str | Sequence[str],
+    output: str | Path,
+    *,
+    model: str = DEFAULT_MODEL,
+    options: ShotOptions | None = None,
+    progress: Progress | Callable[[Done], None] | None = None,
+    cancel: Callable[[], bool] = lambda: False,
+) -> ShotResult:
+    """Denoise an EXR file or a sequence, from files to files.
+
+    Frames are read ahead and written behind; cuts are found and the meaning of motion is proven;
+    finished frames are kept where that is asked for. Files appear whole or not at all.
+
+    Parameters
+    ----------
+    sources
+        An EXR file; a sequence as ``"shot.####.exr"``, ``"shot.%04d.exr"`` or a glob; or the files
+        of one sequence.
+    output
+        An EXR file, a pattern, or a folder, which gets files of the inputs' names.
+    model
+        A quality, a model's name or the path of an .onnx file.
+    options
+        How; None for the defaults.
+    progress
+        Told of every frame that is done; or an object that is told of more.
+    cancel
+        Asked before each frame, in chunks after each chunk: True ends the run. The few frames that
+        are in work then are finished, and what is written stays.
+
+    Raises
+    ------
+    InputError
+        Something cannot be read, written or used; frames before it are complete.
+
+    Examples
+    --------
+    >>> import stillray
+    >>> stillray.denoise_shot("shot.####.exr", "clean.####.exr")  # doctest: +SKIP
+    """
+    named = [sources] if isinstance(sources, str) else list(sources)
+    planned = plan_run(named, str(output), model, options or ShotOptions())
+    return planned.run(_told(progress), cancel)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannedShot:
+    """A shot of which all is known but the pixels.
+
+    Attributes
+    ----------
+    jobs
+        All frames.
+    steps
+        Those that are run here; where the shot is split, workers find out.
+    model
+        The model.
+    layout
+        How files are read and written.
+    already
+        Frames that are finished.
+    """
+
+    options: ShotOptions
+    jobs: list[Job]
+    steps: list[Step]
+    model: ModelInfo
+    layout: Layout
+    already: int
+    work: Work
+    started: float
+
+    @property
+    def count(self) -> int:
+        """Frames that will be run, warm-up included."""
+        return sum(map(len, self._chunks().values())) or len(self.steps)
+
+    def _chunks(self) -> dict[str, list[Job]]:
+        if not self.options.in_chunks:
+            return {}
+        size = CHUNK_FRAMES if self.options.chunk is None else self.options.chunk
+        return split(self.jobs, size, memory=self.work.memory)
+
+    def run(self, progress: Progress, cancel: Callable[[], bool] = lambda: False) -> ShotResult:
+        """Denoise the frames; see `denoise_shot`."""
+        chunks = self._chunks()
+        remove_leftovers(self.jobs)
+        if self.layout.detection is not None:
+            progress.motion(self.layout.detection)
+        ran: list[Done] = []
+        already, cancelled = self.already, False
+
+        def tell(frame: Done) -> None:
+            ran.append(frame)
+            progress.frame(frame)
+
+        def go_on(_: object = None) -> bool:
+            nonlocal cancelled
+            cancelled = cancelled or cancel()
+            return not cancelled
+
+        if chunks:
+            already = run_chunks(
+                chunks,
+                self.work,
+                tell,
+                workers=None if self.options.scheduler else self.options.workers,
+                scheduler=self.options.scheduler,
+                hooks=(progress.wait, go_on),
+            )
+        else:
+            self.work.run(self.model, takewhile(go_on, self.steps), tell)
+        return ShotResult(
+            model=self.model.name,
+            frames=tuple(ran),
+            already=already,
+            cancelled=cancelled,
+            seconds=time.perf_counter() - self.started,
+        )
+
+
+def plan_run(
+    sources: Sequence[str], output: str, model: str, options: ShotOptions, *, look: bool = False
+) -> PlannedShot:
+    """Find out all about a shot but its pixels.
+
+    Parameters
+    ----------
+    sources, output, model, options
+        As for `denoise_shot`.
+    look
+        Whether finished frames are looked for here even where workers do so.
+
+    Raises
+    ------
+    InputError
+        As `denoise_shot`.
+    """
+    started = time.perf_counter()
+    temporal, layers = options.temporal, options.layers
+    jobs = plan_shot(
+        sources,
+        output,
+        options.companions,
+        frames=options.frames,
+        on_missing=options.on_missing,
+        warm_up=(options.warm_up or 0) if temporal else 0,
+        layers=layers,
+    )
+    layout = Layout.of(
+        first_run(jobs),
+        layers=layers,
+        aovs=options.aovs,
+        only_color=options.only_color,
+        temporal=temporal and "motion" not in options.companions,
+    )
+    chosen = find_model(model)
+    memory, cuts = _memory(chosen, options, len(jobs)), options.cuts and temporal
+    recipe = Recipe(
+        model=chosen.name,
+        model_digest=file_digest(chosen.path),
+        options={"temporal": temporal, "cuts": cuts, **layout.options()},
+    )
+    done = [False] * len(jobs)
+    if options.resume and (look or not options.in_chunks):
+        done = finished(jobs, recipe, memory=memory, layers=layers)
+    work = Work(
+        model=str(chosen.path.absolute()) if model.endswith(".onnx") else chosen.name,
+        recipe=recipe,
+        layout=layout,
+        memory=memory,
+        temporal=temporal,
+        cuts=cuts,
+        threads=options.threads,
+        max_memory=options.max_memory,
+    )
+    return PlannedShot(
+        options=options,
+        jobs=jobs,
+        steps=steps_to_run(jobs, done, memory=memory),
+        model=chosen,
+        layout=layout,
+        already=sum(done),
+        work=work,
+        started=started,
+    )
+
+
+def _memory(model: ModelInfo, options: ShotOptions, frames: int) -> int:
+    """Frames that a history is taken to go back."""
+    if not options.temporal:
+        return 0
+    if options.warm_up is not None:
+        return options.warm_up
+    memory = family_of(model.spec).traits.memory
+    return frames if memory is None else memory
+
+
+def _told(progress: Progress | Callable[[Done], None] | None) -> Progress:
+    if isinstance(progress, Progress):
+        return progress
+    return _Calls(progress or (lambda done: None))
+
+
+class _Calls:
+    """Progress of which a function is told the frames."""
+
+    def __init__(self, function: Callable[[Done], None]) -> None:
+        self._function = function
+
+    def motion(self, detection: Detection) -> None:
+        pass
+
+    def wait(self, reason: str) -> None:
+        pass
+
+    def frame(self, done: Done) -> None:
+        self._function(done)

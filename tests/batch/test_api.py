@@ -1,0 +1,86 @@
+"""A shot from Python is the shot of the command line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import stillray
+from stillray.cli import main
+from stillray.io.exr.read_write import read_exr, write_channels
+from tests.conftest import make_frame
+
+FRAMES = 6
+FAST = stillray.ShotOptions(threads=1)
+
+
+@pytest.fixture
+def shot(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for number in range(1, FRAMES + 1):
+        frame = make_frame(24, 33, number, shift=1.0)
+        channels = {name: frame.color[..., i] for i, name in enumerate("RGB")}
+        channels |= {f"albedo.{name}": frame.albedo[..., i] for i, name in enumerate("RGB")}
+        channels |= {"motion.X": frame.motion[..., 0], "motion.Y": frame.motion[..., 1]}
+        write_channels(tmp_path / f"shot.{number:02d}.exr", channels)
+    return tmp_path
+
+
+def pictures(pattern):
+    return [read_exr(pattern.format(number)).color for number in range(1, FRAMES + 1)]
+
+
+def test_python_writes_what_the_command_line_writes(shot):
+    told = []
+    result = stillray.denoise_shot(
+        "shot.##.exr", "a.##.exr", model="fast", options=FAST, progress=told.append
+    )
+    assert main(["denoise", "shot.##.exr", "-o", "b.##.exr", "-m", "fast", "--threads", "1"]) == 0
+    np.testing.assert_array_equal(pictures("a.{:02d}.exr"), pictures("b.{:02d}.exr"))
+    assert [done.step.job.number for done in told] == list(range(1, FRAMES + 1))
+    assert result.frames == tuple(told)
+    assert (result.model, result.already, result.cancelled) == ("kpyr-5s", 0, False)
+
+
+def test_a_cancelled_run_ends_soon_and_is_resumed(shot):
+    told = []
+    options = stillray.ShotOptions(threads=1, resume=True)
+    result = stillray.denoise_shot(
+        "shot.##.exr", "c.##.exr", model="fast", options=options,
+        progress=told.append, cancel=lambda: len(told) > 0,
+    )  # fmt: skip
+    assert result.cancelled
+    # what was read ahead or waits to be written when the first was done
+    assert 1 <= len(result.frames) < FRAMES
+    again = stillray.denoise_shot("shot.##.exr", "c.##.exr", model="fast", options=options)
+    assert again.already == len(result.frames)
+    assert not again.cancelled
+    assert (
+        stillray.denoise_shot("shot.##.exr", "c.##.exr", model="fast", options=options).frames == ()
+    )
+
+
+def test_a_run_cancelled_at_once_opens_no_model_and_writes_nothing(shot):
+    result = stillray.denoise_shot("shot.##.exr", "d.##.exr", model="fast", cancel=lambda: True)
+    assert result.cancelled
+    assert result.frames == ()
+    assert not list(shot.glob("d.*"))
+
+
+def test_the_default_model_is_one_and_the_same(shot):
+    result = stillray.denoise_shot("shot.01.exr", "e.exr")
+    assert result.model == stillray.Denoiser().model.name == "kpyr-5"
+    assert main(["info", "shot.01.exr", "--json"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"workers": 0}, "workers must be 1 or more, got 0"),
+        ({"workers": 2, "scheduler": "tcp://a:1"}, "workers must not be given with a scheduler"),
+        ({"chunk": 3}, "chunk must be given with --scheduler or --workers, got 3 alone"),
+    ],
+)
+def test_options_that_contradict_each_other_are_refused(options, message):
+    with pytest.raises(stillray.InputError, match=message):
+        stillray.ShotOptions(**options)

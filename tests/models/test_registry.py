@@ -1,0 +1,40 @@
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from stillray.errors import InputError
+from stillray.models import registry
+from stillray.models.registry import find_model, list_models, qualities
+
+
+def test_a_quality_opens_one_file(monkeypatch):
+    opened = []
+    real = registry.open_session
+
+    def counted(path, **options):
+        opened.append(path.name)
+        return real(path, **options)
+
+    monkeypatch.setattr(registry, "open_session", counted)
+    assert find_model("high").name == "kpyr-5"
+    assert opened == ["kpyr-5.onnx"]
+
+
+def test_qualities_are_the_aliases_that_the_files_and_the_specifications_hold():
+    held = {alias: model.name for model in list_models() for alias in model.aliases}
+    assert qualities() == held
+    folder = Path(__file__).parents[2] / "models_spec"
+    specs = [tomllib.loads(path.read_text()) for path in folder.glob("*.toml")]
+    assert qualities() == {alias: spec["name"] for spec in specs for alias in spec["aliases"]}
+
+
+def test_a_file_is_named_as_its_model_is():
+    assert all(model.path.stem == model.name for model in list_models())
+
+
+def test_an_unknown_name_lists_models_and_qualities():
+    with pytest.raises(InputError, match=r"one of kpyr-5, .*wskp-mr, fast, balanced, high or"):
+        find_model("best")

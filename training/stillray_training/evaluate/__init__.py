@@ -1,0 +1,1 @@
+"""Quality on frames with references: sequences, stills of any number of samples, fed references."""

@@ -1,0 +1,133 @@
+"""``stillray-evaluate VALIDATION``: quality on everything there that has a reference."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Collection, Iterable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import track
+
+from stillray.cli import program
+from stillray.compare.metrics import METRICS
+from stillray.errors import InputError
+from stillray.io.atomic import atomic_path
+from stillray.models.registry import find_model, list_models
+from stillray_training.evaluate.cases import KINDS, Case, find_cases, titles
+from stillray_training.evaluate.methods import NOISY, choose_peers, left_out
+from stillray_training.evaluate.report import report as page
+from stillray_training.evaluate.report import sections
+from stillray_training.evaluate.scores import Results, evaluate_cases, taken_from
+from stillray_training.peers import PEERS
+
+_METRIC_NAMES = [metric.name for metric in METRICS]
+
+
+def main(
+    folders: Annotated[
+        list[str], typer.Argument(help="FOLDER or LABEL=FOLDER of frames with references.")
+    ],
+    model: Annotated[
+        list[str] | None,
+        typer.Option(help="Model, .onnx, or LABEL=one of them; repeatable; default: all."),
+    ] = None,
+    peer: Annotated[
+        list[str] | None,
+        typer.Option(help=f"{', '.join(p.name for p in PEERS)}; repeatable; default: installed."),
+    ] = None,
+    peers: Annotated[bool, typer.Option(help="Run peers at all.")] = True,
+    peers_from: Annotated[
+        Path | None, typer.Option(help="JSON of a former --out: rows of peers from there.")
+    ] = None,
+    only: Annotated[
+        str | None, typer.Option(help=f"Sets, out of {','.join(KINDS)}; default: all.")
+    ] = None,
+    stills: Annotated[
+        str | None, typer.Option(help="Samples a pixel of the stills, such as 4,16; default: all.")
+    ] = None,
+    metrics: Annotated[
+        str | None, typer.Option(help=f"Out of {','.join(_METRIC_NAMES)}; default: all.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Write scores as JSON.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write the tables as Markdown.")] = None,
+    pictures: Annotated[Path | None, typer.Option(help="Folder for tone-mapped PNGs.")] = None,
+) -> None:
+    """Print every set's metrics, and where a model's picture is worse than its input."""
+    given = model or [info.name for info in list_models()]
+    models = {text.split("=")[0]: text.split("=")[-1] for text in given}
+    for name in models.values():
+        find_model(name)
+    named = peer if peers else []
+    chosen = choose_peers(named)
+    names = _listed(metrics, "metrics", _METRIC_NAMES) if metrics else None
+    if line := left_out(named):
+        print(line, file=sys.stderr)
+    cases = find_all(
+        folders,
+        _listed(only, "only", KINDS) if only else KINDS,
+        _counts(stills) if stills else None,
+    )
+    results = evaluate_cases(
+        cases, models, peers=chosen, names=names, pictures=pictures, progress=_shown
+    )
+    if peers_from:
+        labels = {NOISY, *(one.label for one in PEERS)}
+        taken_from(results, _read(peers_from), labels, names)
+    kinds = titles(cases)
+    print(sections(results, kinds, models))
+    if report:
+        with atomic_path(report) as temporary:
+            temporary.write_text(page(results, kinds, models))
+    if out:
+        with atomic_path(out) as temporary:
+            temporary.write_text(json.dumps(results, indent=1))
+
+
+def find_all(
+    folders: Sequence[str],
+    kinds: Collection[str] = KINDS,
+    counts: Collection[int] | None = None,
+) -> list[Case]:
+    """Cases of several folders, each ``FOLDER`` or ``LABEL=FOLDER``, see `find_cases`."""
+    cases: list[Case] = []
+    for text in folders:
+        label, _, folder = text.rpartition("=")
+        if not Path(folder).is_dir():
+            raise InputError(f"folder must exist, got {folder}")
+        cases += find_cases(Path(folder), label=label, kinds=kinds, counts=counts)
+    return cases
+
+
+def _listed(text: str, option: str, allowed: Collection[str]) -> list[str]:
+    names = text.split(",")
+    for name in names:
+        if name not in allowed:
+            raise InputError(f"{option} must be out of {', '.join(allowed)}, got {name}")
+    return names
+
+
+def _counts(text: str) -> list[int]:
+    if not all(part.isdecimal() for part in text.split(",")):
+        raise InputError(f"stills must be numbers such as 4,16, got {text}")
+    return [int(part) for part in text.split(",")]
+
+
+def _read(path: Path) -> Results:
+    try:
+        return json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"peers-from must be a file that --out wrote, got {path}: {error}"
+        ) from None
+
+
+def _shown(cases: Sequence[Case]) -> Iterable[Case]:
+    return track(cases, "frames", console=Console(stderr=True))
+
+
+if __name__ == "__main__":
+    program.run(main)
