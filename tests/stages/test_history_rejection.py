@@ -212,7 +212,7 @@ def test_confidence_agrees_with_loops(rng, shape):
     motion = np.zeros((*shape, 2), np.float32)
     found, _ = history_rejection.confidence(blocks, None, motion, 1.0)
     wanted = confidence_by_loops(blocks.astype(np.float64), shape)
-    assert 0.1 < (wanted < 0.5).mean() < 0.99
+    assert (wanted < 0.5).mean() > 0.1
     np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-4)
 
 

@@ -244,7 +244,9 @@ class _Pixels:
             self.confidence, self.noise = history_rejection.confidence(
                 self._blocks, past.noise, motion, self.exposed.exposure
             )
-        if self.confidence is not None and cv2.mean(self.confidence)[0] < _RELIT:
+        kept = 1.0 if self.confidence is None else cv2.mean(self.confidence)[0]
+        kept *= cv2.countNonZero(self._blocks[0]) / self._blocks[0].size  # 0 without a past
+        if kept < _RELIT:
             self.exposed = expose_anew(self.exposed, self._means)
 
     def _geometry(self, rows: slice, out: np.ndarray) -> np.ndarray:
