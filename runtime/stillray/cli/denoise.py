@@ -26,8 +26,8 @@ def denoise(
         list[str] | None,
         typer.Argument(
             metavar="INPUT...",
-            help="An EXR file; a sequence as 'shot.####.exr', 'shot.%04d.exr' or 'shot.*.exr'; "
-            "or the files of one sequence.",
+            help="An EXR file; a sequence as 'shot.####.exr', 'shot.%04d.exr', 'shot.$F4.exr' or "
+            "'shot.*.exr'; or the files of one sequence.",
         ),
     ] = None,
     hdr: Annotated[
@@ -39,7 +39,7 @@ def denoise(
             "--output",
             "-o",
             help="An EXR file, a pattern as 'clean.####.exr', or a folder, which gets files of "
-            "the inputs' names.",
+            "the inputs' names; 'new/', with a slash, is made.",
         ),
     ] = "",
     model: Annotated[

@@ -32,7 +32,8 @@ class Denoiser:
         A quality (``"fast"``, ``"balanced"``, ``"high"``), a model's name, the path of an
         .onnx file, or what `stillray.models.registry.tuned` gives.
     threads
-        Threads to use, 1 or more; None for every processor that this process may use.
+        Threads to use, 1 or more, of which no more than this machine has processors are started;
+        None for every processor that this process may use.
     providers
         ONNX Runtime execution providers; None for the CPU.
     temporal
@@ -72,7 +73,7 @@ class Denoiser:
     ) -> None:
         if threads is not None and threads < 1:
             raise InputError(f"threads must be 1 or more, got {threads}")
-        threads = threads or available_threads()
+        threads = min(threads or available_threads(), max(os.cpu_count() or 1, available_threads()))
         self.model = model if isinstance(model, ModelInfo) else find_model(model)
         self.temporal = temporal
         self.max_memory = max_memory

@@ -21,13 +21,14 @@ from stillray.io.channels.roles import LayerMatch, find_alone, find_layers, find
 from stillray.io.exr.container import Window
 from stillray.io.exr.file import Channels, ExrFile
 from stillray.io.exr.openimageio import checked_container, opened, openimageio, reason
-from stillray.io.exr.rewrite import rewrite
+from stillray.io.exr.rewrite import rewrite, unkept
 from stillray.version import __version__
 
 __all__ = [
     "ExrFile",
     "atomic_path",
     "check_layer",
+    "expected_changes",
     "read_channels",
     "read_exr",
     "read_lights",
@@ -37,6 +38,8 @@ __all__ = [
     "write_channels",
     "write_exr",
 ]
+
+_MOST_LISTED = 40  # channels in a message
 
 # Attributes that describe the stored pixels, not the picture: OpenImageIO sets them anew.
 _STORAGE_PREFIXES = ("oiio:", "openexr:")
@@ -88,7 +91,7 @@ def read_exr(
     file = ExrFile.open(path)
     companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
     given = {role: Path(p) for role, p in companions.items() if p is not None}
-    found = require_color(file.path, find_layers(file.channels, layers))
+    found = _color_and_more(file, layers)
     matches = [
         match.proven(convention) if match.role == "motion" and convention else match
         for match in found
@@ -122,7 +125,7 @@ def read_picture(
         The file cannot be read, or has no color.
     """
     file = ExrFile.open(path)
-    color = require_color(file.path, find_layers(file.channels, layers))[0].writes
+    color = _color_and_more(file, layers)[0].writes
     planes = file.read(color, file.window(color[0]))
     return np.stack([planes[name] for name in color], axis=-1)
 
@@ -155,7 +158,7 @@ def read_lights(
         The file cannot be read, or has no such layer.
     """
     file = ExrFile.open(path)
-    color = require_color(file.path, find_layers(file.channels, layers))[0]
+    color = _color_and_more(file, layers)[0]
     channels = _lights(file, names, layers)
     wanted = dict.fromkeys(name for listed in channels.values() for name in listed)
     planes = file.read(wanted, file.window(color.channels[0]))
@@ -165,13 +168,30 @@ def read_lights(
     }
 
 
-def require_color(path: Path, matches: list[LayerMatch]) -> list[LayerMatch]:
-    """The matches; `InputError` where none of them is color."""
+def require_color(path: Path, matches: list[LayerMatch], names: Iterable[str]) -> list[LayerMatch]:
+    """The matches; `InputError`, which lists the file's channels, where none of them is color."""
     if not any(match.role == "color" for match in matches):
-        raise InputError(
-            f"{path}: must hold color channels, R, G, B or a known renderer's; none found"
-        )
+        raise InputError(f"{path}: must hold color channels, {_instead_of_color(list(names))}")
     return matches
+
+
+def _instead_of_color(names: list[str]) -> str:
+    """What a file without color holds, and what can be done about it."""
+    parts = {name.rpartition(".")[2] for name in names}
+    if {"Y", "RY", "BY"} <= parts:
+        return "it holds luminance and chroma (Y, RY, BY), which must be converted to R, G, B"
+    if set(names) <= {"Y", "A"}:
+        return "it holds luminance (Y) alone; --layer color=Y,Y,Y takes it for grey"
+    listed = ", ".join(names[:_MOST_LISTED])
+    more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
+    return (
+        f"R, G, B or a known renderer's, but holds {listed}{more}; --layer color=NAME takes a "
+        "layer, or three channels with commas between"
+    )
+
+
+def _color_and_more(file: ExrFile, layers: Mapping[str, str] | None) -> list[LayerMatch]:
+    return require_color(file.path, find_layers(file.channels, layers), file.channels)
 
 
 def check_layer(
@@ -180,7 +200,7 @@ def check_layer(
     """Raise `InputError` where a file's header holds no buffer of that role; reads no pixels."""
     file = ExrFile.open(path, headers_only=True)
     if role == "color":
-        require_color(file.path, find_layers(file.channels, layers))
+        _color_and_more(file, layers)
     else:
         _require_alone(role, file.path, file.channels, layers)
 
@@ -287,6 +307,24 @@ def write_exr(
     return write_channels(
         path, {name: image[..., i] for i, name in enumerate("RGB")}, like=like, attributes=tags
     )
+
+
+def expected_changes(
+    path: str | os.PathLike[str], layers: Mapping[str, str] | None = None
+) -> list[str]:
+    """What `write_exr` cannot keep of a source's structure, each in a line; reads headers only.
+
+    Parameters
+    ----------
+    path
+        The source.
+    layers
+        As for `write_exr`.
+    """
+    file = ExrFile.open(path, headers_only=True)
+    color = [match for match in find_layers(file.channels, layers) if match.role == "color"]
+    numbers = sorted({file.channels[name][0] for match in color for name in match.writes})
+    return [line for number in numbers for line in unkept(file.container.parts[number])]
 
 
 def write_channels(
