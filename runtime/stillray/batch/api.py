@@ -33,7 +33,8 @@ class ShotOptions:
     companions
         Feature files, patterns, globs or folders by role: albedo, normal, depth, motion.
     layers
-        Role to the layer, or channels, to take for it.
+        Role to the layer, or channels, to take for it; and ``"view"`` to the view to denoise of
+        files that hold several.
     aovs
         Layers of light to filter as the color; empty for all that are known, None for none.
     only_color

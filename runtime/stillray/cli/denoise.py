@@ -65,6 +65,13 @@ def denoise(
         list[str] | None,
         typer.Option("--layer", help="ROLE=NAME: take this layer, or channels, for a role."),
     ] = None,
+    view: Annotated[
+        str | None,
+        typer.Option(
+            help="Of files with several views, as left and right: the one to denoise. The others "
+            "are kept as they are."
+        ),
+    ] = None,
     aovs: Annotated[
         str | None,
         typer.Option(
@@ -172,12 +179,13 @@ def denoise(
         raise InputError("output must be given: -o FILE, PATTERN or FOLDER")
     from stillray.batch.api import ShotOptions, plan_run
     from stillray.io.channels.roles import parse_overrides
+    from stillray.io.exr.views import VIEW
     from stillray.pipeline.tiles import parse_memory
 
     companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
     options = ShotOptions(
         companions={role: pattern for role, pattern in companions.items() if pattern is not None},
-        layers=parse_overrides(layer or []),
+        layers=parse_overrides(layer or []) | ({} if view is None else {VIEW: view}),
         aovs=None if aovs is None else () if aovs == "all" else tuple(aovs.split(",")),
         only_color=only_color,
         frames=frames,

@@ -30,19 +30,25 @@ def info(
         list[str] | None,
         typer.Option("--layer", help="ROLE=NAME: take this layer, or channels, for a role."),
     ] = None,
+    view: Annotated[
+        str | None, typer.Option(help="Of files with several views: the one to look at.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Show the channels found, their roles, and the stages that will run.
 
     Where a file cannot be denoised, it shows what there is in it before it says why.
     """
+    from stillray.io.channels.roles import parse_overrides
     from stillray.io.exr.read_write import ExrFile
+    from stillray.io.exr.views import VIEW
     from stillray.io.file_sequence import expand
 
+    chosen = parse_overrides(layer or []) | ({} if view is None else {VIEW: view})
     paths = [numbered.path for numbered in expand(file)]
     opened = ExrFile.open(paths[0])
     try:
-        facts = _collect(paths, opened, model, layer or [])
+        facts = _collect(paths, model, chosen)
     except InputError:
         _show({"file": printable(str(paths[0])), **_stored(opened)}, as_json, _print_stored)
         raise
@@ -71,6 +77,7 @@ def _stored(opened: ExrFile) -> dict[str, Any]:
             for part in opened.container.parts
         ],
         "channels": list(opened.channels),
+        "views": list(opened.views),
     }
 
 
@@ -80,15 +87,14 @@ def _print_stored(facts: dict[str, Any]) -> None:
     print(printable(f"channels: {', '.join(facts['channels'])}"), flush=True)
 
 
-def _collect(
-    paths: Sequence[Path], opened: ExrFile, model: str, layer: list[str]
-) -> dict[str, Any]:
+def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[str, Any]:
     from stillray.io.channels.motion_detection import detect_in_sequence
-    from stillray.io.channels.roles import find_layers, parse_overrides
-    from stillray.io.exr.read_write import read_exr, require_color
+    from stillray.io.channels.roles import find_layers
+    from stillray.io.exr.read_write import ExrFile, read_exr, require_color
     from stillray.pipeline.denoiser import Denoiser
 
-    path, chosen = paths[0], parse_overrides(layer)
+    path = paths[0]
+    opened = ExrFile.of_layers(path, chosen)
     matches = require_color(path, find_layers(opened.channels, chosen), opened.channels)
     detection = detect_in_sequence(paths, layers=chosen)
     if detection is not None and len(paths) > 1:

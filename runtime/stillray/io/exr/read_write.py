@@ -22,6 +22,7 @@ from stillray.io.exr.container import Window
 from stillray.io.exr.file import Channels, ExrFile
 from stillray.io.exr.openimageio import checked_container, opened, openimageio, reason
 from stillray.io.exr.rewrite import rewrite, unkept
+from stillray.io.exr.views import VIEW
 from stillray.version import __version__
 
 __all__ = [
@@ -72,7 +73,8 @@ def read_exr(
         Plain motion (X, Y or R, G) is in pixels, previous minus current position, y down.
     layers
         Role to the layer or channels to take for it, as
-        `stillray.io.channels.roles.parse_overrides` gives.
+        `stillray.io.channels.roles.parse_overrides` gives; and, of a file with several views,
+        ``"view"`` to the name of the one to take.
     convention
         What the file's motion means, where its layer alone does not tell: from
         `stillray.io.channels.motion_detection.detect_motion`.
@@ -88,7 +90,7 @@ def read_exr(
     InputError
         A file cannot be read completely, lacks its buffer, or differs in size.
     """
-    file = ExrFile.open(path)
+    file = ExrFile.of_layers(path, layers)
     companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
     given = {role: Path(p) for role, p in companions.items() if p is not None}
     found = _color_and_more(file, layers)
@@ -104,7 +106,7 @@ def read_exr(
     planes = file.read(names, window)
     buffers = {m.role: gather(m, planes) for m in matches if m not in late}
     if late and before is not None:  # a first frame has no frame before, and needs no motion
-        previous = ExrFile.open(before)
+        previous = ExrFile.of_layers(before, layers)
         _require_channels(previous, late[0].channels)
         buffers["motion"] = gather(late[0], previous.read(late[0].channels, window))
     for role, companion in given.items():
@@ -124,7 +126,7 @@ def read_picture(
     InputError
         The file cannot be read, or has no color.
     """
-    file = ExrFile.open(path)
+    file = ExrFile.open(path, view=(layers or {}).get(VIEW))
     color = _color_and_more(file, layers)[0].writes
     planes = file.read(color, file.window(color[0]))
     return np.stack([planes[name] for name in color], axis=-1)
@@ -157,7 +159,7 @@ def read_lights(
     InputError
         The file cannot be read, or has no such layer.
     """
-    file = ExrFile.open(path)
+    file = ExrFile.of_layers(path, layers)
     color = _color_and_more(file, layers)[0]
     channels = _lights(file, names, layers)
     wanted = dict.fromkeys(name for listed in channels.values() for name in listed)
@@ -198,11 +200,19 @@ def check_layer(
     path: str | os.PathLike[str], role: str, layers: Mapping[str, str] | None = None
 ) -> None:
     """Raise `InputError` where a file's header holds no buffer of that role; reads no pixels."""
-    file = ExrFile.open(path, headers_only=True)
     if role == "color":
-        _color_and_more(file, layers)
+        _color_and_more(ExrFile.of_layers(path, layers, headers_only=True), layers)
     else:
+        file = _companion(Path(path), layers, headers_only=True)
         _require_alone(role, file.path, file.channels, layers)
+
+
+def _companion(
+    path: Path, layers: Mapping[str, str] | None, *, headers_only: bool = False
+) -> ExrFile:
+    """A file of one buffer: in the view that was chosen, if it has several."""
+    file = ExrFile.open(path, headers_only=headers_only)
+    return ExrFile.of_layers(path, layers, headers_only=headers_only) if file.views else file
 
 
 def read_channels(path: str | os.PathLike[str]) -> Channels:
@@ -294,7 +304,7 @@ def write_exr(
         raise InputError(f"image must be floating point, got {image.dtype}")
     tags = {"stillray:version": __version__, **(attributes or {})}
     if like is not None and not only_color:
-        source = ExrFile.open(like)
+        source = ExrFile.of_layers(like, layers)
         color = [m for m in find_layers(source.channels, layers) if m.role == "color"]
         if color and _same_size(source.window(color[0].writes[0]), image):
             replaced = {
@@ -321,7 +331,7 @@ def expected_changes(
     layers
         As for `write_exr`.
     """
-    file = ExrFile.open(path, headers_only=True)
+    file = ExrFile.of_layers(path, layers, headers_only=True)
     color = [match for match in find_layers(file.channels, layers) if match.role == "color"]
     numbers = sorted({file.channels[name][0] for match in color for name in match.writes})
     return [line for number in numbers for line in unkept(file.container.parts[number])]
@@ -462,7 +472,7 @@ def _read_alone(
     layers: Mapping[str, str] | None,
 ) -> np.ndarray:
     """A buffer from a file of its own, in the data window of the color that it goes with."""
-    file = ExrFile.open(path)
+    file = _companion(path, layers)
     match = _require_alone(role, path, file.channels, layers)
     own = file.window(match.channels[0])
     same_picture = file.container.parts[0].display == beside.container.parts[0].display
