@@ -34,6 +34,9 @@ def checked(data: bytes, origin: Path | str) -> tuple[OnnxFile, Interface]:
     except (WireError, GraphError) as error:
         raise InputError(f"{origin}: not a usable ONNX model: {error}") from None
 
+#: An execution provider of ONNX Runtime: its name, or its name and its options.
+Provider = str | tuple[str, Mapping[str, Any]]
+
 
 class Network:
     """A model's network, which runs in a thread of its own.
@@ -49,7 +52,7 @@ class Network:
         As `open_session` takes them.
     """
 
-    def __init__(self, path: Path, *, threads: int, providers: tuple[str, ...] | None) -> None:
+    def __init__(self, path: Path, *, threads: int, providers: tuple[Provider, ...] | None) -> None:
         self._path = path
         self._thread = ThreadPoolExecutor(1, "stillray-network")
         try:
@@ -94,7 +97,7 @@ def open_session(
     path: Path,
     *,
     threads: int,
-    providers: tuple[str, ...] | None = None,
+    providers: tuple[Provider, ...] | None = None,
     flush_denormals: bool = False,
     trace: Path | None = None,
 ) -> Any:
@@ -107,7 +110,8 @@ def open_session(
     threads
         Threads of one operator.
     providers
-        Execution providers by name; an unknown one is an error, never a silent fallback.
+        Execution providers by name, or name and options; an unknown one is an error, never a
+        silent fallback.
     flush_denormals
         Take denormals for zero; the calling thread does so too from then on.
     trace
@@ -124,7 +128,8 @@ def open_session(
     import onnxruntime as ort
 
     file, _ = read_checked(path)
-    wanted = list(providers or ("CPUExecutionProvider",))
+    chosen = providers or ("CPUExecutionProvider",)
+    wanted = [item if isinstance(item, str) else item[0] for item in chosen]
     available = ort.get_available_providers()
     if missing := [name for name in wanted if name not in available]:
         raise InputError(f"providers must be among {', '.join(available)}, got {missing[0]}")
@@ -145,8 +150,9 @@ def open_session(
     if flush_denormals:
         options.add_session_config_entry("session.set_denormal_as_zero", "1")
     try:
+        given = [item if isinstance(item, str) else (item[0], dict(item[1])) for item in chosen]
         # the very bytes that were checked
-        session = ort.InferenceSession(file.data, options, providers=wanted)
+        session = ort.InferenceSession(file.data, options, providers=given)
     except Exception as error:  # ONNX Runtime's own, without a common base
         raise InputError(f"{path}: not a usable ONNX model: {_first_line(error)}") from None
     if (got := session.get_providers()[: len(wanted)]) != wanted:
