@@ -15,7 +15,7 @@ FLOORS = [
     {"stages", "models", "io"},
     {"families"},
     {"pipeline"},
-    {"batch", "compare"},
+    {"batch", "compare", "oidn", "mitsuba"},
     {"profiling"},
     {"cli", "demo"},
     {"__main__", "__init__"},

@@ -23,7 +23,8 @@ from stillray.errors import InputError
 from stillray.families.registry import kernels_of
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec, from_json
-from stillray.models.registry import PROVENANCE_KEY, SPEC_KEY, WHOLE_SUFFIX
+from stillray.models.registry import PROVENANCE_KEY, SPEC_KEY, WHOLE_SUFFIX, require_fit
+from stillray.models.session import checked
 from stillray_export import parity
 from stillray_export.fuse import fuse
 from stillray_training.decoders.boxes import pooled_box_mean
@@ -95,6 +96,9 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
     ------
     stillray_export.parity.ParityError
         Two forms of the network differ by more than rounding: nothing is written.
+    InputError
+        The network is not what its specification describes, or is made of operators that the
+        runtime does not take (`stillray.models.network_graph`): nothing is written.
     """
     fused = fuse(network)
     provenance = {
@@ -113,6 +117,8 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
         (axes, tuple(axes for _ in arrays)),
         _metadata(spec, provenance),
     )
+    # what the runtime would refuse is found here, not by who runs the model
+    require_fit(checked(alone.SerializeToString(), spec.name)[1], spec, spec.name)
     parity.check(network, fused, alone.SerializeToString(), whole.SerializeToString(), spec)
     path = out / f"{spec.name}.onnx"
     for model, target in ((alone, path), (whole, out / f"{spec.name}{WHOLE_SUFFIX}.onnx")):

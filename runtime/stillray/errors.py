@@ -1,4 +1,4 @@
-"""The one error a user sees for input that cannot be used."""
+"""The one error a user sees for input that cannot be used, and how it reaches a terminal."""
 
 from __future__ import annotations
 
@@ -8,3 +8,15 @@ class InputError(ValueError):
 
     The command line turns it into one line on standard error and exit code 2.
     """
+
+
+def printable(text: str) -> str:
+    """A text in one line that a terminal takes for nothing but text.
+
+    File names, channels and models come from others, and may hold commands for a terminal: control
+    characters appear as Python writes them.
+    """
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape").decode()
+        for c in " ".join(text.split())
+    )

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import numpy as np
+import OpenImageIO as oiio  # noqa: N813
 import pytest
 
 import stillray
@@ -250,6 +251,41 @@ def test_info_warns_of_normals_that_may_be_encoded(shot, capsys):
 def test_info_of_a_bad_file_is_one_line(shot, capsys):
     (shot / "bad.exr").write_bytes(b"")
     assert "bad.exr: " in fails(capsys, "info", "bad.exr", "--model", "fast")
+
+
+def test_info_of_a_file_that_is_refused_still_shows_its_channels(shot, capsys):
+    write_frame(shot / "f.exr", names=("mine.r1", "mine.g1", "mine.b1"))
+    assert main(["info", "f.exr"]) == 2
+    streams = capsys.readouterr()
+    assert "channels: mine.b1, mine.g1, mine.r1" in streams.out
+    assert "--layer color=NAME" in streams.err
+    assert main(["info", "f.exr", "--json"]) == 2
+    assert sorted(json.loads(capsys.readouterr().out)["channels"]) == [
+        "mine.b1", "mine.g1", "mine.r1",
+    ]  # fmt: skip
+
+
+def test_denoise_makes_a_folder_that_is_named_with_a_slash(shot, capsys):
+    arguments = ["denoise", "shot.0001.exr", "-m", "wskp-3", "-o"]
+    assert "as new/, is made" in fails(capsys, *arguments, "new/clean.exr")
+    assert main([*arguments, "deep/new/", "--dry-run"]) == 0
+    assert not (shot / "deep").exists()
+    assert main([*arguments, "deep/new/"]) == 0
+    assert [path.name for path in (shot / "deep/new").iterdir()] == ["shot.0001.exr"]
+
+
+def test_denoise_says_what_of_the_structure_it_cannot_keep(shot, capsys):
+    spec = oiio.ImageSpec(WIDTH, HEIGHT, 4, "half")
+    spec.channelnames = ("R", "G", "B", "id")
+    spec.channelformats = tuple(map(oiio.TypeDesc, ["half"] * 3 + ["uint"]))
+    spec.attribute("compression", "dwaa")
+    sink = oiio.ImageOutput.create("exr")
+    assert sink.open("f.exr", spec)
+    assert sink.write_image(np.zeros((HEIGHT, WIDTH, 4), np.float32))
+    assert sink.close()
+    assert main(["denoise", "f.exr", "-m", "wskp-3", "-o", "clean.exr"]) == 0
+    assert "note: compression dwaa becomes zip" in capsys.readouterr().out
+    assert read_metadata("clean.exr").getattribute("compression") == "zip"
 
 
 def test_models_json_lists_what_the_library_lists(capsys):

@@ -154,10 +154,27 @@ def test_read_exr_separate_file_without_its_buffer_is_named(tmp_path):
         read_exr(tmp_path / "c.exr", motion=tmp_path / "m.exr")
 
 
-def test_read_exr_without_color_says_so(tmp_path):
-    write_channels(tmp_path / "f.exr", planes("depth.Z", "albedo.R"))
-    with pytest.raises(InputError, match=r"f\.exr: must hold color channels"):
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("depth.Z", "albedo.R"), ["holds albedo.R, depth.Z;", "--layer color=NAME"]),
+        (("Y", "RY", "BY"), ["luminance and chroma", "must be converted"]),
+        (("Y", "A"), ["luminance (Y) alone", "--layer color=Y,Y,Y"]),
+        ([f"layer{n:02d}.x" for n in range(50)], ["layer39.x and 10 more"]),
+    ],
+)
+def test_read_exr_without_color_says_what_there_is(tmp_path, names, words):
+    write_channels(tmp_path / "f.exr", planes(*names))
+    with pytest.raises(InputError, match=r"f\.exr: must hold color channels") as error:
         read_exr(tmp_path / "f.exr")
+    assert all(word in str(error.value) for word in words), error.value
+
+
+def test_a_file_of_luminance_is_read_as_the_message_says(tmp_path):
+    made = planes("Y", "A")
+    write_channels(tmp_path / "f.exr", made)
+    color = read_exr(tmp_path / "f.exr", layers={"color": "Y,Y,Y"}).color
+    np.testing.assert_array_equal(color, np.stack([made["Y"]] * 3, -1))
 
 
 @pytest.mark.parametrize("kind", ["missing", "empty", "text", "png", "folder"])

@@ -11,7 +11,9 @@ def touch(folder, *names):
         (folder / name).touch()
 
 
-@pytest.mark.parametrize("pattern", ["shot.####.exr", "shot.%04d.exr"])
+@pytest.mark.parametrize(
+    "pattern", ["shot.####.exr", "shot.%04d.exr", "shot.@@@@.exr", "shot.$F4.exr"]
+)
 def test_expand_orders_by_number_and_leaves_gaps_out(tmp_path, pattern):
     touch(tmp_path, "shot.0010.exr", "shot.0002.exr", "shot.10000.exr", "shot.0003.exr")
     touch(tmp_path, "shot.2.exr", "shot.00002.exr", "shot.0004.exr.part", "other.0001.exr")
@@ -19,7 +21,7 @@ def test_expand_orders_by_number_and_leaves_gaps_out(tmp_path, pattern):
     assert [frame.number for frame in expand(tmp_path / pattern)] == [2, 3, 10, 10000]
 
 
-@pytest.mark.parametrize("pattern", ["a_%d.exr", "a_#.exr"])
+@pytest.mark.parametrize("pattern", ["a_%d.exr", "a_#.exr", "a_$F.exr"])
 def test_expand_unpadded_numbers_sort_as_numbers(tmp_path, pattern):
     touch(tmp_path, "a_9.exr", "a_10.exr", "a_0.exr", "a_07.exr")
     assert [frame.path.name for frame in expand(tmp_path / pattern)] == [
@@ -52,6 +54,9 @@ def test_expand_file_whose_own_name_holds_a_hash_is_plain(tmp_path):
         ("shot.####.exr", ["shot.####.exr", "no file matches"]),
         ("gone/shot.####.exr", ["gone", "cannot be listed"]),
         ("missing.exr", ["missing.exr", "no such file"]),
+        ("shot.<frame>.exr", ["no such file", "written as ####", "not <frame>"]),
+        ("wood.<UDIM>.exr", ["no such file", "not <UDIM>"]),
+        ("me@home$Fx.exr", ["me@home$Fx.exr: no such file"]),
         ("a_##_##.exr", ["a_##_##.exr", "one frame placeholder"]),
         ("", ["is a folder", "shot.####.exr"]),
     ],
@@ -65,7 +70,13 @@ def test_expand_says_what_is_wrong(tmp_path, name, words):
 
 @pytest.mark.parametrize(
     ("pattern", "number", "name"),
-    [("c.####.exr", 7, "c.0007.exr"), ("c.%03d.exr", 1234, "c.1234.exr"), ("c%d.exr", 5, "c5.exr")],
+    [
+        ("c.####.exr", 7, "c.0007.exr"),
+        ("c.%03d.exr", 1234, "c.1234.exr"),
+        ("c%d.exr", 5, "c5.exr"),
+        ("c.@@@.exr", 7, "c.007.exr"),
+        ("c.$F4.exr", 7, "c.0007.exr"),
+    ],
 )
 def test_numbered_fills_the_placeholder(tmp_path, pattern, number, name):
     assert numbered(tmp_path / pattern, number) == tmp_path / name
@@ -87,7 +98,7 @@ def test_map_companions_refuses_one_name_for_many_frames(tmp_path):
 
 def test_map_companions_refuses_a_pattern_for_one_plain_file(tmp_path):
     touch(tmp_path, "s.exr")
-    with pytest.raises(InputError, match="albedo must name one file"):
+    with pytest.raises(InputError, match=r"albedo must name one file, as the input .*s\.exr does"):
         map_companions(tmp_path / "a.####.exr", expand(tmp_path / "s.exr"), name="albedo")
 
 

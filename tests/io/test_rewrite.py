@@ -10,7 +10,13 @@ import pytest
 import stillray
 from stillray.errors import InputError
 from stillray.io.exr.container import read_container
-from stillray.io.exr.read_write import read_exr, read_metadata, read_picture, write_exr
+from stillray.io.exr.read_write import (
+    expected_changes,
+    read_exr,
+    read_metadata,
+    read_picture,
+    write_exr,
+)
 
 BLENDER = Path(__file__).parents[1] / "data/blender/frame_0002.exr"
 HEIGHT, WIDTH = 67, 45
@@ -98,6 +104,31 @@ def write_mixed(
 def picture(shape=(HEIGHT, WIDTH), seed=0):
     rng = np.random.default_rng(seed)
     return rng.integers(0, 256, (*shape, 3)).astype(np.float32) / 256  # exact in half
+
+
+@pytest.mark.parametrize("shape", [(67, 45), (16, 64), (1, 9)])
+@pytest.mark.parametrize("chunk_count", [True, False], ids=["counted", "uncounted"])
+def test_a_mip_mapped_file_is_read_and_written_at_full_resolution(tmp_path, shape, chunk_count):
+    image = picture(shape)
+    path = tmp_path / "s.exr"
+    spec = oiio.ImageSpec(shape[1], shape[0], 4, "float")
+    buffer = oiio.ImageBuf(spec)
+    assert buffer.set_pixels(oiio.ROI(), np.concatenate([image, image[..., :1]], -1))
+    config = oiio.ImageSpec(1, 1, 1, "half")
+    config.tile_width = config.tile_height = 16
+    assert oiio.ImageBufAlgo.make_texture(oiio.MakeTxTexture, buffer, str(path), config)
+    assert read_container(path).parts[0].levels
+    if not chunk_count:  # which files of one part need not have
+        data = path.read_bytes()
+        path.write_bytes(data.replace(b"chunkCount\0int\0", b"chunkCoumt\0int\0"))
+    np.testing.assert_array_equal(read_exr(path).color, image)
+    assert expected_changes(path) == ["mip-mapped color is written at its full resolution alone"]
+    write_exr(tmp_path / "o.exr", image / 2, like=path)
+    ((spec, planes),) = native(tmp_path / "o.exr")
+    assert (spec.height, spec.width, spec.tile_width) == (*shape, 16)
+    np.testing.assert_array_equal(planes["A"][1], native(path)[0][1]["A"][1])
+    np.testing.assert_array_equal(read_picture(tmp_path / "o.exr"), image / 2)
+    assert not read_container(tmp_path / "o.exr").parts[0].levels
 
 
 MIXED = {"R": "half", "G": "half", "B": "half", "A": "half", "Z": "float", "crypto00.r": "float"}

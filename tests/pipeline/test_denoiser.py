@@ -1,9 +1,12 @@
 from __future__ import annotations
 
 import dataclasses
+import multiprocessing
 import subprocess
 import sys
+import threading
 import tracemalloc
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -348,7 +351,7 @@ def test_a_file_that_is_no_model_is_refused(tmp_path):
 
 
 def test_bad_threads_and_providers_are_refused():
-    with pytest.raises(stillray.InputError, match="threads must be 1 or more, got 0"):
+    with pytest.raises(stillray.InputError, match="threads must be an integer, 1 or more, got 0"):
         stillray.Denoiser("fast", threads=0)
     with pytest.raises(stillray.InputError, match=r"providers must be among .*, got Nonsense"):
         stillray.Denoiser("fast", providers=["Nonsense"])
@@ -393,3 +396,90 @@ def test_a_warm_frame_takes_no_new_memory_but_for_its_picture(model):
     # the picture is the caller's; nothing else stays, histories change places
     assert after - before < picture.nbytes + plane / 2
     assert peak - before < 4 * plane
+
+
+# Calls as engines make them
+
+
+@pytest.mark.parametrize("threads", [0, -1, 1.5, "2", True])
+def test_threads_must_be_a_whole_number(threads):
+    with pytest.raises(stillray.InputError, match="threads must be an integer, 1 or more"):
+        stillray.Denoiser("fast", threads=threads)
+
+
+def test_providers_are_names_or_names_with_options():
+    with pytest.raises(stillray.InputError, match="the string 'CPUExecutionProvider'"):
+        stillray.Denoiser("fast", providers="CPUExecutionProvider")
+    chosen = [("CPUExecutionProvider", {"use_arena": "1"})]
+    with stillray.Denoiser("fast", threads=np.int64(1), providers=chosen) as denoiser:
+        assert denoiser.denoise(make_frame(4, 6)).shape == (4, 6, 3)
+
+
+def test_a_closed_denoiser_says_so():
+    denoiser = stillray.Denoiser("fast", threads=2)
+    denoiser.close()
+    denoiser.close()
+    for use in (denoiser.denoise, denoiser.stages, lambda f: denoiser.denoise_layers(f, {})):
+        with pytest.raises(stillray.InputError, match="it was closed"):
+            use(make_frame(4, 6))
+
+
+def test_a_second_thread_is_told_so_instead_of_mixing_frames():
+    inside, go_on = threading.Event(), threading.Event()
+
+    class Engine:
+        def run(self, graph, inputs):
+            inside.set()
+            assert go_on.wait(60)
+            raise KeyboardInterrupt  # the frame itself is of no interest
+
+        def close(self):
+            pass
+
+    denoiser = stillray.Denoiser("fast", threads=1, engine=Engine())
+    with ThreadPoolExecutor(1) as other:
+        first = other.submit(denoiser.denoise, make_frame(8, 8))
+        assert inside.wait(60)
+        try:
+            with pytest.raises(stillray.InputError, match="one thread at a time"):
+                denoiser.denoise(make_frame(8, 8))
+        finally:
+            go_on.set()
+        assert isinstance(first.exception(), KeyboardInterrupt)
+    assert denoiser.stages(make_frame(8, 8))  # and the turn is free again
+
+
+def _use_in_child(denoiser, queue):
+    try:
+        denoiser.denoise(make_frame(4, 6))
+    except stillray.InputError as error:
+        queue.put(str(error))
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork here")
+def test_a_forked_child_is_told_so_instead_of_waiting_for_ever():
+    context = multiprocessing.get_context("fork")
+    queue = context.Queue()
+    with stillray.Denoiser("fast", threads=2) as denoiser:
+        child = context.Process(target=_use_in_child, args=(denoiser, queue), daemon=True)
+        child.start()
+        assert "made in the process that uses it" in queue.get(timeout=60)
+        child.join()
+
+
+def test_pictures_go_where_the_caller_says():
+    frame = make_frame(12, 10)
+    with stillray.Denoiser("fast", threads=1, temporal=False) as denoiser:
+        expected = denoiser.denoise(frame)
+        whole = np.full((14, 10, 4), -1, np.float64)
+        part = whole[12:0:-1, :, :3]
+        assert denoiser.denoise(frame, out=part) is part
+        np.testing.assert_array_equal(part, expected)
+        assert (whole[..., 3] == -1).all()
+        assert (whole[[0, 13]] == -1).all()
+        half = np.empty((12, 10, 3), np.float16)
+        bright = Frame(color=np.full((12, 10, 3), 1e6))
+        assert (denoiser.denoise(bright, out=half) == 65504).all()
+        for wrong in (half[:4], half.astype(np.uint8), [1.0], np.broadcast_to(half, half.shape)):
+            with pytest.raises(stillray.InputError, match="out must"):
+                denoiser.denoise(frame, out=wrong)

@@ -31,13 +31,13 @@ def test_strided_and_coarse_convolutions_count_at_their_own_size(tmp_path):
         )
     ]
     nodes = [
-        helper.make_node("Conv", ["x", "first"], ["y"], strides=[2, 2], pads=[1, 1, 1, 1]),
+        helper.make_node("Conv", ["features", "first"], ["y"], strides=[2, 2], pads=[1, 1, 1, 1]),
         helper.make_node("Conv", ["y", "second"], ["z"]),
     ]
     graph = helper.make_graph(
         nodes,
         "two",
-        [helper.make_tensor_value_info("x", kind, [1, 3, "h", "w"])],
+        [helper.make_tensor_value_info("features", kind, [1, 3, "h", "w"])],
         [helper.make_tensor_value_info("z", kind, [1, 2, "a", "b"])],
         weights,
     )

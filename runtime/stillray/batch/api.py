@@ -13,10 +13,11 @@ from stillray.batch.chunks import Work, run_chunks, split
 from stillray.batch.file_layout import Layout
 from stillray.batch.resume import Recipe, file_digest
 from stillray.batch.run import Done, finished, remove_leftovers
-from stillray.batch.shot import Job, Step, first_run, plan_shot, steps_to_run
+from stillray.batch.shot import Job, Step, first_run, make_folders, plan_shot, steps_to_run
 from stillray.errors import InputError
 from stillray.families.registry import family_of
 from stillray.io.channels.motion_detection import Detection
+from stillray.io.exr.read_write import expected_changes
 from stillray.models.registry import DEFAULT_MODEL, ModelInfo, find_model
 
 #: Frames of a chunk unless told otherwise: twice as many as are run before it for its history.
@@ -32,7 +33,8 @@ class ShotOptions:
     companions
         Feature files, patterns, globs or folders by role: albedo, normal, depth, motion.
     layers
-        Role to the layer, or channels, to take for it.
+        Role to the layer, or channels, to take for it; and ``"view"`` to the view to denoise of
+        files that hold several.
     aovs
         Layers of light to filter as the color; empty for all that are known, None for none.
     only_color
@@ -100,6 +102,9 @@ class Progress(Protocol):
 
     def motion(self, detection: Detection) -> None:
         """The convention of the motion had to be proven, and this came of it."""
+
+    def note(self, line: str) -> None:
+        """Something about the outputs that a user should know."""
 
     def wait(self, reason: str) -> None:
         """Nothing happens until somebody else does something."""
@@ -220,9 +225,13 @@ class PlannedShot:
     def run(self, progress: Progress, cancel: Callable[[], bool] = lambda: False) -> ShotResult:
         """Denoise the frames; see `denoise_shot`."""
         chunks = self._chunks()
+        make_folders(self.jobs)
         remove_leftovers(self.jobs)
         if self.layout.detection is not None:
             progress.motion(self.layout.detection)
+        if not self.layout.only_color:
+            for line in expected_changes(self.jobs[0].source, self.layout.layers):
+                progress.note(line)
         ran: list[Done] = []
         already, cancelled = self.already, False
 
@@ -345,6 +354,9 @@ class _Calls:
         self._function = function
 
     def motion(self, detection: Detection) -> None:
+        pass
+
+    def note(self, line: str) -> None:
         pass
 
     def wait(self, reason: str) -> None:

@@ -6,6 +6,7 @@ kept. So one that a lost worker had begun can simply be done again.
 
 from __future__ import annotations
 
+import logging
 import socket
 import uuid
 from collections.abc import Callable, Iterator, Mapping
@@ -126,12 +127,13 @@ def _client(workers: int, scheduler: str | None) -> Iterator[tuple[Any, int]]:
         with client:
             yield client, 0
         return
+    # what a worker says of its own end means nothing to a user: what failed is told here.
     # memory limits off: a worker that Dask kills for its memory would only start over
     with (
         dask.config.set(_QUIET),
         LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, memory_limit=0,
-            dashboard_address=":0",
+            dashboard_address=":0", silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster) as client,
     ):  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from stillray.io.file_sequence import (
     NumberedFile,
     expand,
     map_companions,
+    names_folder,
     number_files,
     refuse_overwriting,
     select,
@@ -84,7 +86,8 @@ def plan_shot(
         One file, pattern or glob, see `stillray.io.file_sequence.expand`; or the files of one
         sequence.
     output
-        A file, a pattern, or a folder, which then holds files of the sources' names.
+        A file, a pattern, or a folder, which then holds files of the sources' names; a folder that
+        is named with a slash at its end need not exist, see `make_folders`.
     companions
         Feature files or patterns by role.
     frames
@@ -132,11 +135,26 @@ def plan_shot(
     refuse_overwriting(
         list(outputs.values()), [path for job in jobs for path in job.inputs.values()]
     )
-    _require_writable(next(iter(outputs.values())))
+    _require_writable(next(iter(outputs.values())), may_make_folder=names_folder(output))
     for job in jobs:
         for role, path in job.inputs.items():
             check_layer(path, role, layers)
     return jobs
+
+
+def make_folders(jobs: Sequence[Job]) -> None:
+    """Make the folders of the outputs that are not there yet.
+
+    Raises
+    ------
+    InputError
+        One cannot be made.
+    """
+    for folder in {job.output.parent for job in jobs if job.output is not None}:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
 
 
 def steps_to_run(jobs: Sequence[Job], done: Sequence[bool], *, memory: int) -> list[Step]:
@@ -218,14 +236,18 @@ def _with_lead_in(
     return [by_number[number] for number in sorted(numbers)]
 
 
-def _require_writable(output: Path) -> None:
+def _require_writable(output: Path, *, may_make_folder: bool) -> None:
     if output.is_dir():
         raise InputError(f"output must be a file, got the folder {output}")
+    folder = output.parent
+    while may_make_folder and not folder.exists() and folder != folder.parent:
+        folder = folder.parent  # the one in which others will be made
     try:
         # really tried: permission bits say little on network drives, and nothing to root
-        with tempfile.TemporaryFile(dir=output.parent):
+        with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         raise InputError(
-            f"{output}: the folder must exist and be writable: {error.strerror}"
+            f"{output}: the folder must exist and be writable: {error.strerror}; a name that ends "
+            f"with a slash, as new{os.sep}, is made"
         ) from None

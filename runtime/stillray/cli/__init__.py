@@ -11,6 +11,7 @@ import typer
 
 from stillray.cli.compare import compare
 from stillray.cli.denoise import denoise
+from stillray.cli.doctor import doctor
 from stillray.cli.info import info
 from stillray.cli.models import models
 from stillray.cli.oidn_flags import spell_out
@@ -31,7 +32,7 @@ def build_app() -> typer.Typer:
         rich_markup_mode=None,
     )
     app.callback()(_version_option)
-    for command in (compare, denoise, info, models, profile, tradeoff):
+    for command in (compare, denoise, doctor, info, models, profile, tradeoff):
         app.command()(command)
     return app
 

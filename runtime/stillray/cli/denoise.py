@@ -26,8 +26,8 @@ def denoise(
         list[str] | None,
         typer.Argument(
             metavar="INPUT...",
-            help="An EXR file; a sequence as 'shot.####.exr', 'shot.%04d.exr' or 'shot.*.exr'; "
-            "or the files of one sequence.",
+            help="An EXR file; a sequence as 'shot.####.exr', 'shot.%04d.exr', 'shot.$F4.exr' or "
+            "'shot.*.exr'; or the files of one sequence.",
         ),
     ] = None,
     hdr: Annotated[
@@ -39,7 +39,7 @@ def denoise(
             "--output",
             "-o",
             help="An EXR file, a pattern as 'clean.####.exr', or a folder, which gets files of "
-            "the inputs' names.",
+            "the inputs' names; 'new/', with a slash, is made.",
         ),
     ] = "",
     model: Annotated[
@@ -64,6 +64,13 @@ def denoise(
     layer: Annotated[
         list[str] | None,
         typer.Option("--layer", help="ROLE=NAME: take this layer, or channels, for a role."),
+    ] = None,
+    view: Annotated[
+        str | None,
+        typer.Option(
+            help="Of files with several views, as left and right: the one to denoise. The others "
+            "are kept as they are."
+        ),
     ] = None,
     aovs: Annotated[
         str | None,
@@ -172,12 +179,13 @@ def denoise(
         raise InputError("output must be given: -o FILE, PATTERN or FOLDER")
     from stillray.batch.api import ShotOptions, plan_run
     from stillray.io.channels.roles import parse_overrides
+    from stillray.io.exr.views import VIEW
     from stillray.pipeline.tiles import parse_memory
 
     companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
     options = ShotOptions(
         companions={role: pattern for role, pattern in companions.items() if pattern is not None},
-        layers=parse_overrides(layer or []),
+        layers=parse_overrides(layer or []) | ({} if view is None else {VIEW: view}),
         aovs=None if aovs is None else () if aovs == "all" else tuple(aovs.split(",")),
         only_color=only_color,
         frames=frames,

@@ -112,7 +112,8 @@ def _layers(job: Job, layout: Layout) -> dict[str, Any]:
     found = {
         match.role: {"file": str(job.source), "channels": list(match.channels)}
         for match in find_layers(
-            ExrFile.open(job.source, headers_only=True).channels, layout.layers
+            ExrFile.of_layers(job.source, layout.layers, headers_only=True).channels,
+            layout.layers,
         )
         if match.used or (match.role == "motion" and proven)
     }

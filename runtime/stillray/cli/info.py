@@ -8,11 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from stillray.errors import InputError, printable
+
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
     import numpy as np
 
     from stillray.io.channels.motion_detection import Detection
     from stillray.io.channels.roles import LayerMatch
+    from stillray.io.exr.read_write import ExrFile
 
 
 def info(
@@ -24,27 +30,72 @@ def info(
         list[str] | None,
         typer.Option("--layer", help="ROLE=NAME: take this layer, or channels, for a role."),
     ] = None,
+    view: Annotated[
+        str | None, typer.Option(help="Of files with several views: the one to look at.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Show the channels found, their roles, and the stages that will run."""
-    facts = _collect(file, model, layer or [])
+    """Show the channels found, their roles, and the stages that will run.
+
+    Where a file cannot be denoised, it shows what there is in it before it says why.
+    """
+    from stillray.io.channels.roles import parse_overrides
+    from stillray.io.exr.read_write import ExrFile
+    from stillray.io.exr.views import VIEW
+    from stillray.io.file_sequence import expand
+
+    chosen = parse_overrides(layer or []) | ({} if view is None else {VIEW: view})
+    paths = [numbered.path for numbered in expand(file)]
+    opened = ExrFile.open(paths[0])
+    try:
+        facts = _collect(paths, model, chosen)
+    except InputError:
+        _show({"file": printable(str(paths[0])), **_stored(opened)}, as_json, _print_stored)
+        raise
+    _show(facts, as_json, _print_facts)
+
+
+def _show(
+    facts: dict[str, Any], as_json: bool, print_facts: Callable[[dict[str, Any]], None]
+) -> None:
     if as_json:
         print(json.dumps(facts, indent=2))
     else:
-        _print_facts(facts)
+        print_facts(facts)
 
 
-def _collect(file: str, model: str, layer: list[str]) -> dict[str, Any]:
+def _stored(opened: ExrFile) -> dict[str, Any]:
+    """What a file holds, whatever is made of it."""
+    return {
+        "parts": [
+            {
+                "name": part.name,
+                "compression": part.compression,
+                "tile": list(part.tile) if part.tile else None,
+                "channels": {channel.name: channel.kind for channel in part.channels},
+            }
+            for part in opened.container.parts
+        ],
+        "channels": list(opened.channels),
+        "views": list(opened.views),
+    }
+
+
+def _print_stored(facts: dict[str, Any]) -> None:
+    print(facts["file"])
+    print(printable(_describe(facts["parts"])))
+    print(printable(f"channels: {', '.join(facts['channels'])}"), flush=True)
+
+
+def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[str, Any]:
     from stillray.io.channels.motion_detection import detect_in_sequence
-    from stillray.io.channels.roles import find_layers, parse_overrides
+    from stillray.io.channels.roles import find_layers
     from stillray.io.exr.read_write import ExrFile, read_exr, require_color
-    from stillray.io.file_sequence import expand
     from stillray.pipeline.denoiser import Denoiser
 
-    paths = [numbered.path for numbered in expand(file)]
-    path, chosen = paths[0], parse_overrides(layer)
-    opened = ExrFile.open(path)
-    matches = require_color(path, find_layers(opened.channels, chosen))
+    path = paths[0]
+    opened = ExrFile.of_layers(path, chosen)
+    matches = require_color(path, find_layers(opened.channels, chosen), opened.channels)
     detection = detect_in_sequence(paths, layers=chosen)
     if detection is not None and len(paths) > 1:
         matches = [_with_proof(match, detection) for match in matches]
@@ -59,16 +110,7 @@ def _collect(file: str, model: str, layer: list[str]) -> dict[str, Any]:
         "width": width,
         "data_window": list(part.data),
         "display_window": list(part.display),
-        "parts": [
-            {
-                "name": part.name,
-                "compression": part.compression,
-                "tile": list(part.tile) if part.tile else None,
-                "channels": {channel.name: channel.kind for channel in part.channels},
-            }
-            for part in opened.container.parts
-        ],
-        "channels": list(opened.channels),
+        **_stored(opened),
         "layers": [
             {
                 "role": match.role,

@@ -8,7 +8,7 @@ from importlib import import_module
 
 import typer
 
-from stillray.errors import InputError
+from stillray.errors import InputError, printable
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 
@@ -41,5 +41,5 @@ def run_extra(module: str, function: str, extra: str) -> None:
 
 def complain(message: str, code: int) -> int:
     """Print an error as one line on standard error; the exit code is given back."""
-    print("error: " + " ".join(message.split()), file=sys.stderr)
+    print("error: " + printable(message), file=sys.stderr)
     return code

@@ -16,10 +16,13 @@ if TYPE_CHECKING:
 
 
 class Report(Protocol):
-    """Told of the motion, of waiting, of every frame that is done, and of the end."""
+    """Told of the motion, of notes and waiting, of every frame that is done, and of the end."""
 
     def motion(self, detection: Detection) -> None:
         """The convention of the motion had to be proven, and this came of it."""
+
+    def note(self, line: str) -> None:
+        """Something about the outputs that a user should know."""
 
     def wait(self, reason: str) -> None:
         """Nothing happens until somebody else does something."""
@@ -65,6 +68,9 @@ class _Quiet:
     def motion(self, detection: Detection) -> None:
         pass
 
+    def note(self, line: str) -> None:
+        pass
+
     def wait(self, reason: str) -> None:
         pass
 
@@ -77,7 +83,8 @@ class _Quiet:
 
 class _Json:
     """One JSON object a line: ``"event"`` is ``"frame"``, at the end ``"summary"``; ``"motion"``
-    comes first where its convention had to be proven, ``"wait"`` where workers are waited for."""
+    comes first where its convention had to be proven, ``"note"`` where outputs cannot keep all of
+    the structure of inputs, ``"wait"`` where workers are waited for."""
 
     def motion(self, detection: Detection) -> None:
         facts = {
@@ -86,6 +93,9 @@ class _Json:
             "reason": detection.reason,
         }
         print(json.dumps(facts), flush=True)
+
+    def note(self, line: str) -> None:
+        print(json.dumps({"event": "note", "text": line}), flush=True)
 
     def wait(self, reason: str) -> None:
         print(json.dumps({"event": "wait", "reason": reason}), flush=True)
@@ -118,6 +128,9 @@ class _Lines:
     def motion(self, detection: Detection) -> None:
         print(_motion(detection), flush=True)
 
+    def note(self, line: str) -> None:
+        print(f"note: {line}", flush=True)
+
     def wait(self, reason: str) -> None:
         print(reason, flush=True)
 
@@ -136,6 +149,9 @@ class _Bar:
 
     def motion(self, detection: Detection) -> None:
         self._progress.console.print(_motion(detection), markup=False)
+
+    def note(self, line: str) -> None:
+        self._progress.console.print(f"note: {line}", markup=False)
 
     def wait(self, reason: str) -> None:
         self._progress.console.print(reason, markup=False)

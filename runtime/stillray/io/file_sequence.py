@@ -12,7 +12,9 @@ from typing import NamedTuple
 from stillray.errors import InputError
 from stillray.io.frame_range import format_frames
 
-_PLACEHOLDER = re.compile(r"#+|%(?:0?([1-9]\d*))?d")
+# ####, as many @ (two or more: one is part of many names), %04d, or $F4 as Houdini has it
+_PLACEHOLDER = re.compile(r"#+|@@+|%(?:0?([1-9]\d*))?d|\$F([1-9])?(?![A-Za-z0-9])")
+_OTHER_PLACEHOLDER = re.compile(r"<\w+>|\[#+\]|\{\w+\}|%V|%v")
 _LAST_NUMBER = re.compile(r"(.*?)(\d+)(\D*)")  # digits right before the suffixes, if any
 
 
@@ -24,7 +26,10 @@ class NumberedFile(NamedTuple):
 
 
 def has_placeholder(pattern: str | os.PathLike[str]) -> bool:
-    """Whether the file name holds ``####`` or ``%04d`` and is not simply a file's own name."""
+    """Whether the file name holds ``####``, ``@@@@``, ``%04d`` or ``$F4``.
+
+    Not where it is simply a file's own name.
+    """
     path = Path(pattern)
     return _PLACEHOLDER.search(path.name) is not None and not path.is_file()
 
@@ -40,8 +45,9 @@ def expand(pattern: str | os.PathLike[str]) -> list[NumberedFile]:
     Parameters
     ----------
     pattern
-        A file name; one with ``####`` (a number of at least so many digits, filled with zeros)
-        or ``%04d`` in its last component; or a glob, as `number_files` numbers its files.
+        A file name; one with ``####`` (a number of at least so many digits, filled with zeros),
+        ``@@@@``, ``%04d`` or ``$F4`` in its last component; or a glob, as `number_files` numbers
+        its files.
 
     Raises
     ------
@@ -62,7 +68,7 @@ def expand(pattern: str | os.PathLike[str]) -> list[NumberedFile]:
                 f"{path}: is a folder; name a file, or a sequence as {path / 'shot.####.exr'}"
             )
         if not path.is_file():
-            raise InputError(f"{path}: no such file")
+            raise InputError(f"{path}: no such file{_hint(path)}")
         return [NumberedFile(None, path)]
     before, width, after = _split(path)
     # the number's one spelling at this width: more digits than that only without leading zeros
@@ -165,8 +171,9 @@ def map_companions(
     Parameters
     ----------
     pattern
-        With a placeholder where the frames are numbered, without where they are not; a folder for
-        files of the frames' own names in it; or a glob of files that have the frames' numbers.
+        With a placeholder where the frames are numbered, without where they are not; a folder, or
+        a name that ends with a slash, for files of the frames' own names in it; or a glob of files
+        that have the frames' numbers.
     frames
         From `expand`.
     name
@@ -177,7 +184,7 @@ def map_companions(
     InputError
         A placeholder is missing or has no number to take, or a glob lacks a frame.
     """
-    if Path(pattern).is_dir():
+    if Path(pattern).is_dir() or names_folder(pattern):
         return [Path(pattern) / frame.path.name for frame in frames]
     if is_glob(pattern):
         there = {file.number: file.path for file in expand(pattern)}
@@ -187,15 +194,21 @@ def map_companions(
     if frames[0].number is None:
         if has_placeholder(pattern):
             raise InputError(
-                f"{name} must name one file, as the input does, got the pattern {pattern}"
+                f"{name} must name one file, as the input {frames[0].path} does, got the pattern "
+                f"{pattern}; a pattern as the input too takes all files of the sequence"
             )
         return [Path(pattern)]
     if not has_placeholder(pattern):
         raise InputError(
             f"{name} must hold a frame placeholder such as #### for a sequence, "
-            f"or be a folder, got {pattern}"
+            f"or be a folder, got {pattern}{_hint(Path(pattern))}"
         )
     return [numbered(pattern, frame.number) for frame in frames if frame.number is not None]
+
+
+def names_folder(pattern: str | os.PathLike[str]) -> bool:
+    """Whether a name ends as only a folder's does, which need not be there yet."""
+    return str(pattern).endswith(tuple(filter(None, (os.sep, os.altsep))))
 
 
 def refuse_overwriting(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
@@ -204,6 +217,14 @@ def refuse_overwriting(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
     for output in outputs:
         if output.resolve() in taken:
             raise InputError(f"output must not overwrite an input, got {output}")
+
+
+def _hint(path: Path) -> str:
+    """What to write instead of a placeholder of another program; may be empty."""
+    hit = _OTHER_PLACEHOLDER.search(path.name)
+    if hit is None:
+        return ""
+    return f"; a frame's number is written as ####, %04d or $F4, not {hit[0]}"
 
 
 def _expand_glob(path: Path) -> list[NumberedFile]:
@@ -220,5 +241,5 @@ def _split(path: Path) -> tuple[str, int, str]:
     if len(placeholders) != 1:
         raise InputError(f"{path}: a file name must hold one frame placeholder")
     hit = placeholders[0]
-    width = len(hit[0]) if hit[0].startswith("#") else int(hit[1] or 1)
+    width = len(hit[0]) if hit[0][0] in "#@" else int(hit[1] or hit[2] or 1)
     return path.name[: hit.start()], width, path.name[hit.end() :]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import reprlib
 import tomllib
 import types
 import typing
@@ -31,6 +32,20 @@ FEATURES = (
 )  # fmt: skip
 #: exp of twice the bound of logits, times a window, must stay far inside float32 (3e38).
 MAX_LOGIT = 40
+# A specification may come from anybody. Its numbers set loops, windows and arrays: beyond these
+# a denoiser would not end, or not fit into memory, and no model that makes sense comes near.
+_MAX_CHARACTERS = 2**18  # of a specification
+_MAX_TEXT = 500  # characters of one value
+_MAX_NAME = 64
+_MAX_LIST = 64  # values
+_MAX_WIDTH = 1024  # planes
+_MAX_BLOCKS = 64
+_MAX_LEVELS = 8  # every one halves the resolution
+_MAX_NETWORK_KERNEL = 31  # pixels
+_MAX_KERNELS = 16
+_MAX_WINDOW = 127  # pixels of a reconstruction kernel
+_MAX_LOCAL_SIZE = 255  # pixels
+_MAX_COUNT = 10**9  # steps and the like, of training
 BUFFERS = ("color", "albedo", "normal", "depth", "motion", "color_b", "jitter")
 
 
@@ -106,9 +121,10 @@ class ImportanceNetwork:
                 f"network.kernel_sizes must have {blocks} entries for {len(self.widths)} widths, "
                 f"got {self.kernel_sizes}"
             )
-        _odd(self.kernel_sizes)
+        _odd("network.kernel_sizes", self.kernel_sizes, _MAX_NETWORK_KERNEL)
         _branches(max(self.kernel_sizes), self.branches)
         _within("network.block", self.block, 1, 2)
+        _each("network.widths", self.widths, 1, _MAX_WIDTH)
 
     def block_branches(self, block: int) -> tuple[int, ...]:
         """Kernel sizes that are trained side by side in a block, its own first."""
@@ -125,7 +141,7 @@ class FusedKernels:
     weigh_samples: bool  # multiply importance by the samples that a pixel holds
 
     def __post_init__(self) -> None:
-        _odd(self.kernel_sizes)
+        _kernels(self.kernel_sizes)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
 
 
@@ -148,7 +164,11 @@ class PyramidNetwork:
     def __post_init__(self) -> None:
         _branches(self.kernel_size, self.branches)
         _within("network.block", self.block, 1, 2)
+        _each("network.widths", self.widths, 1, _MAX_WIDTH)
+        for key in ("encoder_blocks", "decoder_blocks"):
+            _each(f"network.{key}", getattr(self, key), 0, _MAX_BLOCKS)
         levels = len(self.widths)
+        _within("levels of network.widths", levels, 1, _MAX_LEVELS)
         for key, count in (
             ("encoder_blocks", levels),
             ("decoder_blocks", levels - 1),
@@ -177,7 +197,7 @@ class PyramidKernels:
     sharp_recall: bool  # whether the previous output is interpolated by cubic convolution
 
     def __post_init__(self) -> None:
-        _odd(self.kernel_sizes)
+        _kernels(self.kernel_sizes)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
 
 
@@ -195,7 +215,10 @@ class GuideNetwork:
 
     def __post_init__(self) -> None:
         _branches(self.kernel_size, self.branches)
-        _within("network.dense_layers", self.dense_layers, 0, 64)
+        _within("network.width", self.width, 1, _MAX_WIDTH)
+        _within("network.dense_layers", self.dense_layers, 0, _MAX_BLOCKS)
+        # of no account without such layers
+        _within("network.growth", self.growth, 1 if self.dense_layers else 0, _MAX_WIDTH)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,8 +274,15 @@ class Training:
             "slope_weight", "blur_weight", "hinge_weight",
         ):  # fmt: skip
             _within(f"training.{key}", getattr(self, key), 0, 1e3)
-        for key in ("quiet_power", "average", "still_share", "quiet_share"):
+        for key in ("quiet_power", "average", "still_share", "quiet_share", "drop_feature"):
             _within(f"training.{key}", getattr(self, key), 0, 1)
+        for key in ("steps", "batch", "patch"):
+            _within(f"training.{key}", getattr(self, key), 1, _MAX_COUNT)
+        for key in ("history_from", "history_every", "seed"):
+            _within(f"training.{key}", getattr(self, key), 0, _MAX_COUNT)
+        _within("training.learning_rate", self.learning_rate, 1e-12, 1e3)
+        _within("training.smape_epsilon", self.smape_epsilon, 1e-12, 1e6)
+        _within("training.exposure_stops", self.exposure_stops, 0, 32)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -276,13 +306,17 @@ class ModelSpec:
         if self.format != FORMAT:
             raise SpecError(f"format must be {FORMAT}, got {self.format}")
         _one_of("family", self.family, FAMILIES)
+        for name in (self.name, *self.aliases):
+            _require_name(name)
         for name in self.inputs.required + self.inputs.optional:
             _one_of("inputs", name, BUFFERS)
         if isinstance(self.network, PyramidNetwork) and isinstance(self.decoder, FusedKernels):
             _within("network.block", self.network.block, 1, 1)
+        if not self.network.features:
+            raise SpecError("network.features must not be empty")
         for name in self.network.features:
             _one_of("network.features", name, FEATURES)
-        _odd((self.transfer.local_size,))
+        _odd("transfer.local_size", (self.transfer.local_size,), _MAX_LOCAL_SIZE)
         _within("demodulate.floor", self.demodulate.floor, 1e-6, 1)
         _within("demodulate.black", self.demodulate.black, 0, self.demodulate.floor)
         _within("transfer.middle", self.transfer.middle, 1e-6, 1e6)
@@ -346,15 +380,29 @@ def _specs() -> Path:
 
 
 def from_json(text: str) -> ModelSpec:
-    """Read back what `ModelSpec.to_json` wrote."""
-    return parse(json.loads(text))
+    """Read back what `ModelSpec.to_json` wrote.
+
+    Raises
+    ------
+    SpecError
+        It is not that, or too long.
+    """
+    if len(text) > _MAX_CHARACTERS:
+        raise SpecError(f"a specification must have {_MAX_CHARACTERS} characters at most")
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise SpecError(f"a specification must be JSON: {error}") from None
+    return parse(data)
 
 
 def _build(kind: type, hints: dict[str, Any], data: Any, path: str) -> Any:
     if not isinstance(data, dict):
-        raise SpecError(f"{path.rstrip('.')} must be a table, got {data!r}")
+        name = path.rstrip(".") or "a specification"
+        raise SpecError(f"{name} must be a table, got {_brief(data)}")
     if unknown := sorted(set(data) - set(hints)):
-        raise SpecError(f"unknown key {path}{unknown[0]}; known keys: {', '.join(hints)}")
+        known = ", ".join(hints)
+        raise SpecError(f"unknown key {path}{unknown[0][:_MAX_NAME]}; known keys: {known}")
     optional = {
         field.name for field in dataclasses.fields(kind) if field.default is not dataclasses.MISSING
     }
@@ -369,24 +417,51 @@ def _value(hint: Any, value: Any, path: str) -> Any:
         return _build(typing.cast(type, hint), typing.get_type_hints(hint), value, path + ".")
     if typing.get_origin(hint) is tuple:
         if not isinstance(value, list | tuple):
-            raise SpecError(f"{path} must be a list, got {value!r}")
+            raise SpecError(f"{path} must be a list, got {_brief(value)}")
+        if len(value) > _MAX_LIST:
+            raise SpecError(f"{path} must have {_MAX_LIST} entries at most, got {len(value)}")
         return tuple(_value(typing.get_args(hint)[0], item, path) for item in value)
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+    # as integers beyond what floats hold are not turned into any
+    if hint is float and type(value) is int and abs(value) < 2**53:
         return float(value)
     if isinstance(hint, types.UnionType) or type(value) is not hint:
-        raise SpecError(f"{path} must be of type {hint.__name__}, got {value!r}")
+        raise SpecError(f"{path} must be of type {hint.__name__}, got {_brief(value)}")
+    if hint is str and not (len(value) <= _MAX_TEXT and value.isprintable()):
+        raise SpecError(
+            f"{path} must be {_MAX_TEXT} printable characters at most, got {_brief(value)}"
+        )
     return value
 
 
-def _odd(sizes: Iterable[int]) -> None:
+def _brief(value: Any) -> str:
+    """A value in a message: what a file holds may be long, or deep."""
+    return reprlib.repr(value)
+
+
+def _require_name(name: str) -> None:
+    # it becomes a file's name and a word in tables
+    if not 1 <= len(name) <= _MAX_NAME or set(name) & set("/\\") or name[0] in ".-":
+        raise SpecError(
+            f"name and aliases must be 1 to {_MAX_NAME} characters without slashes, not beginning "
+            f"with a dot or dash, got {_brief(name)}"
+        )
+
+
+def _odd(key: str, sizes: Iterable[int], most: int) -> None:
     for size in sizes:
-        if size < 1 or size % 2 == 0:
-            raise SpecError(f"kernel sizes must be odd and positive, got {size}")
+        if not 1 <= size <= most or size % 2 == 0:
+            raise SpecError(f"{key} must be odd and 1 to {most} pixels, got {size}")
+
+
+def _kernels(sizes: tuple[int, ...]) -> None:
+    _within("the number of decoder.kernel_sizes", len(sizes), 1, _MAX_KERNELS)
+    _odd("decoder.kernel_sizes", sizes, _MAX_WINDOW)
 
 
 def _branches(kernel_size: int, branches: tuple[int, ...]) -> None:
-    _odd(branches)
-    if max(branches) != kernel_size:
+    _odd("network.kernel_size", (kernel_size,), _MAX_NETWORK_KERNEL)
+    _odd("network.branches", branches, _MAX_NETWORK_KERNEL)
+    if max(branches, default=0) != kernel_size:
         raise SpecError(
             f"network.branches must have the network's kernel size ({kernel_size}) as their "
             f"largest, got {branches}"
@@ -395,9 +470,14 @@ def _branches(kernel_size: int, branches: tuple[int, ...]) -> None:
 
 def _one_of(key: str, value: str, known: Iterable[str]) -> None:
     if value not in known:
-        raise SpecError(f"{key} must be one of {', '.join(known)}, got {value}")
+        raise SpecError(f"{key} must be one of {', '.join(known)}, got {value[:_MAX_NAME]}")
+
+
+def _each(key: str, values: Iterable[int], low: int, high: int) -> None:
+    for value in values:
+        _within(key, value, low, high)
 
 
 def _within(key: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
-        raise SpecError(f"{key} must be in [{low:g}, {high:g}], got {value:g}")
+        raise SpecError(f"{key} must be in [{low:g}, {high:g}], got {_brief(value)}")

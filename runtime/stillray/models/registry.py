@@ -12,10 +12,14 @@ from typing import Any
 
 from stillray.errors import InputError
 from stillray.model_spec.loader import FusedKernels, ModelSpec, SpecError, from_json
-from stillray.models.session import open_session
+from stillray.model_spec.network_outputs import network_outputs
+from stillray.models.network_graph import Interface
+from stillray.models.session import read_checked
 
 SPEC_KEY = "stillray.spec"
 PROVENANCE_KEY = "stillray.provenance"
+_MAX_PROVENANCE = 2**20  # characters
+_MAX_SCORE = 1e12
 
 
 #: What runs unless another model is named, in Python and on the command line.
@@ -38,6 +42,7 @@ class ModelInfo:
     scores: dict[str, float]  # on the validation scenes, mean of the last frames
     provenance: dict[str, Any]
     spec: ModelSpec
+    interface: Interface  # of its network
 
 
 def list_models() -> list[ModelInfo]:
@@ -49,7 +54,7 @@ def list_models() -> list[ModelInfo]:
     >>> [model.name for model in stillray.list_models()]
     ['kpyr-5', 'kpyr-5s', 'nbg-2x1', 'nbg-2x3', 'nbg-7x3', 'wskp-3', 'wskp-6', 'wskp-mr']
     """
-    return [read_model(path) for path in _files().values()]
+    return [_fitting(read_model(path)) for path in _files().values()]
 
 
 def qualities() -> dict[str, str]:
@@ -68,15 +73,15 @@ def find_model(name: str | os.PathLike[str]) -> ModelInfo:
     Raises
     ------
     InputError
-        There is no such model: the message lists those there are.
+        There is no such model: the message lists those there are. Or its file cannot be used.
     """
     path = Path(name)
     if path.suffix == ".onnx":
-        return read_model(path)
+        return _fitting(read_model(path))
     files, aliases = _files(), qualities()
     wanted = aliases.get(str(name), str(name))
     if wanted in files:
-        return read_model(files[wanted])
+        return _fitting(read_model(files[wanted]))
     raise InputError(
         f"model must be one of {', '.join([*files, *aliases])} or the path of an .onnx file, "
         f"got {name}"
@@ -94,36 +99,98 @@ def _files() -> dict[str, Path]:
 
 
 def read_model(path: Path) -> ModelInfo:
-    """Read the specification and provenance that a model file carries.
+    """Read the specification and provenance that a model file carries; nothing is run.
 
     Raises
     ------
     InputError
-        The file is missing, is not ONNX, or was not made by stillray's export.
+        The file is missing, is not ONNX, or holds what `stillray-export` does not write.
     """
-    session = open_session(path, threads=1)
-    metadata = session.get_modelmeta().custom_metadata_map
+    if path.name.endswith(f"{WHOLE_SUFFIX}.onnx"):
+        raise InputError(
+            f"{path}: is for engines that embed ONNX Runtime; the model is "
+            f"{path.name.removesuffix(f'{WHOLE_SUFFIX}.onnx')}.onnx beside it"
+        )
+    file, interface = read_checked(path)
+    for key in (SPEC_KEY, PROVENANCE_KEY):
+        if key not in file.metadata:
+            raise InputError(f"{path}: not a stillray model: no {key} in its metadata")
     try:
-        spec = from_json(metadata[SPEC_KEY])
-        provenance = json.loads(metadata[PROVENANCE_KEY])
-    except KeyError as error:
-        raise InputError(f"{path}: not a stillray model: no {error} in its metadata") from None
-    except (SpecError, ValueError) as error:
+        spec = from_json(file.metadata[SPEC_KEY])
+    except SpecError as error:
         raise InputError(f"{path}: its specification cannot be used: {error}") from None
+    try:
+        provenance = _provenance(file.metadata[PROVENANCE_KEY])
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: its provenance cannot be used: {error}") from None
     return ModelInfo(
         name=spec.name,
         family=spec.family,
         summary=spec.summary,
         aliases=spec.aliases,
         path=path,
-        parameters=int(provenance["parameters"]),
-        size_bytes=path.stat().st_size,
+        parameters=provenance["parameters"],
+        size_bytes=len(file.data),
         inputs=spec.inputs.required,
         optional_inputs=spec.inputs.optional,
-        scores=dict(provenance.get("scores", {})),
+        scores=provenance.get("scores", {}),
         provenance=provenance,
         spec=spec,
+        interface=interface,
     )
+
+
+def _provenance(text: str) -> dict[str, Any]:
+    """What a model was made of; `ValueError` where a part that is relied on is not as it must be.
+
+    What the training wrote beside that may be anything.
+    """
+    if len(text) > _MAX_PROVENANCE:
+        raise ValueError(f"it has more than {_MAX_PROVENANCE} characters")
+    provenance = json.loads(text)
+    if not isinstance(provenance, dict):
+        raise ValueError("it must be a table")
+    parameters, scores = provenance.get("parameters"), provenance.get("scores", {})
+    if type(parameters) is not int or not 0 <= parameters < 2**53:
+        raise ValueError("parameters must be a count")
+    if not isinstance(scores, dict) or not all(
+        name.isprintable() and type(value) in (int, float) and abs(value) < _MAX_SCORE
+        for name, value in scores.items()
+    ):
+        raise ValueError(f"scores must be numbers below {_MAX_SCORE:g} by printable names")
+    return provenance
+
+
+def _fitting(info: ModelInfo) -> ModelInfo:
+    require_fit(info.interface, info.spec, info.path)
+    return info
+
+
+def require_fit(interface: Interface, spec: ModelSpec, origin: Path | str) -> None:
+    """Raise `InputError` where a network is not what its specification describes.
+
+    Parameters
+    ----------
+    interface
+        What the network takes and gives.
+    spec
+        The specification beside it.
+    origin
+        What the message calls them.
+    """
+    features = len(spec.network.features)
+    if interface.features != features:
+        raise InputError(
+            f"{origin}: its network must take the {features} features of its specification, "
+            f"takes {interface.features}"
+        )
+    wanted = network_outputs(spec)
+    given = [(planes.count, planes.reduction) for planes in interface.outputs]
+    if given != wanted:
+        raise InputError(
+            f"{origin}: its network must give what its specification asks for, (planes, "
+            f"reduction) {wanted}, gives {given[:8]}"
+        )
 
 
 def tuned(

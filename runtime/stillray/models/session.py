@@ -10,6 +10,32 @@ from typing import Any
 import numpy as np
 
 from stillray.errors import InputError
+from stillray.models.network_graph import GraphError, Interface, interface_of
+from stillray.models.onnx_file import OnnxFile, parse_onnx, read_bytes
+from stillray.models.protobuf import WireError
+
+
+def read_checked(path: Path) -> tuple[OnnxFile, Interface]:
+    """A model file, and what its network takes and gives; no session is made.
+
+    Raises
+    ------
+    InputError
+        The file is missing, is not ONNX, or holds what `stillray-export` does not write.
+    """
+    return checked(read_bytes(path), path)
+
+
+def checked(data: bytes, origin: Path | str) -> tuple[OnnxFile, Interface]:
+    """As `read_checked`, of a file's bytes; ``origin`` is what messages call them."""
+    try:
+        file = parse_onnx(data)
+        return file, interface_of(file.graph)
+    except (WireError, GraphError) as error:
+        raise InputError(f"{origin}: not a usable ONNX model: {error}") from None
+
+#: An execution provider of ONNX Runtime: its name, or its name and its options.
+Provider = str | tuple[str, Mapping[str, Any]]
 
 
 class Network:
@@ -26,7 +52,8 @@ class Network:
         As `open_session` takes them.
     """
 
-    def __init__(self, path: Path, *, threads: int, providers: tuple[str, ...] | None) -> None:
+    def __init__(self, path: Path, *, threads: int, providers: tuple[Provider, ...] | None) -> None:
+        self._path = path
         self._thread = ThreadPoolExecutor(1, "stillray-network")
         try:
             self._session = self._thread.submit(
@@ -46,10 +73,19 @@ class Network:
             ``"network"``, the one there is.
         inputs
             ``"features"``: ``(1, features, h, w)`` float32.
+
+        Raises
+        ------
+        InputError
+            ONNX Runtime cannot run the network on that.
         """
         if graph != "network":
             raise ValueError(f"graph must be 'network', got {graph!r}")
-        outputs = self._thread.submit(self._session.run, None, dict(inputs)).result()
+        ran = self._thread.submit(self._session.run, None, dict(inputs))
+        try:
+            outputs = ran.result()
+        except Exception as error:  # ONNX Runtime's own, without a common base
+            raise InputError(f"{self._path}: cannot be run: {_first_line(error)}") from None
         return {name: output[0] for name, output in zip(self._names, outputs, strict=True)}
 
     def close(self) -> None:
@@ -61,7 +97,7 @@ def open_session(
     path: Path,
     *,
     threads: int,
-    providers: tuple[str, ...] | None = None,
+    providers: tuple[Provider, ...] | None = None,
     flush_denormals: bool = False,
     trace: Path | None = None,
 ) -> Any:
@@ -74,7 +110,8 @@ def open_session(
     threads
         Threads of one operator.
     providers
-        Execution providers by name; an unknown one is an error, never a silent fallback.
+        Execution providers by name, or name and options; an unknown one is an error, never a
+        silent fallback.
     flush_denormals
         Take denormals for zero; the calling thread does so too from then on.
     trace
@@ -84,14 +121,15 @@ def open_session(
     Raises
     ------
     InputError
-        The file cannot be loaded, or a provider is not installed.
+        The file cannot be loaded, holds what `stillray-export` does not write, or a provider is
+        not installed.
     """
     # Imported on use: `import stillray` loads no inference engine.
     import onnxruntime as ort
 
-    if not path.is_file():
-        raise InputError(f"{path}: no such model file")
-    wanted = list(providers or ("CPUExecutionProvider",))
+    file, _ = read_checked(path)
+    chosen = providers or ("CPUExecutionProvider",)
+    wanted = [item if isinstance(item, str) else item[0] for item in chosen]
     available = ort.get_available_providers()
     if missing := [name for name in wanted if name not in available]:
         raise InputError(f"providers must be among {', '.join(available)}, got {missing[0]}")
@@ -99,7 +137,7 @@ def open_session(
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
-    options.log_severity_level = 3
+    options.log_severity_level = 4  # what goes wrong is raised, and told in one line
     if trace is not None:
         options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
         options.enable_profiling = True
@@ -112,10 +150,15 @@ def open_session(
     if flush_denormals:
         options.add_session_config_entry("session.set_denormal_as_zero", "1")
     try:
-        session = ort.InferenceSession(str(path), options, providers=wanted)
-    except Exception as error:  # ONNX Runtime raises a family of its own, without a common base
-        first_line = str(error).splitlines()[0]
-        raise InputError(f"{path}: not a usable ONNX model: {first_line}") from None
+        given = [item if isinstance(item, str) else (item[0], dict(item[1])) for item in chosen]
+        # the very bytes that were checked
+        session = ort.InferenceSession(file.data, options, providers=given)
+    except Exception as error:  # ONNX Runtime's own, without a common base
+        raise InputError(f"{path}: not a usable ONNX model: {_first_line(error)}") from None
     if (got := session.get_providers()[: len(wanted)]) != wanted:
         raise InputError(f"providers must all start, asked for {wanted}, got {got}")
     return session
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).splitlines()), type(error).__name__)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
+from numbers import Integral
 from types import TracebackType
 
 import numpy as np
@@ -16,9 +17,11 @@ from stillray.families.registry import FAMILIES
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
 from stillray.models.registry import DEFAULT_MODEL, ModelInfo, find_model
-from stillray.models.session import Network
+from stillray.models.session import Network, Provider
 from stillray.pipeline.layers import validated
+from stillray.pipeline.output import check_output, put
 from stillray.pipeline.tiles import plan_tiles
+from stillray.pipeline.turns import Turns
 from stillray.stages.plan import Plan, Stage
 from stillray.timing import timed
 
@@ -32,9 +35,10 @@ class Denoiser:
         A quality (``"fast"``, ``"balanced"``, ``"high"``), a model's name, the path of an
         .onnx file, or what `stillray.models.registry.tuned` gives.
     threads
-        Threads to use, 1 or more; None for every processor that this process may use.
+        Threads to use, 1 or more, of which no more than this machine has processors are started;
+        None for every processor that this process may use.
     providers
-        ONNX Runtime execution providers; None for the CPU.
+        ONNX Runtime execution providers: names, or names with their options; None for the CPU.
     temporal
         Whether frames are accumulated; without, each is denoised alone.
     max_memory
@@ -65,14 +69,14 @@ class Denoiser:
         model: str | os.PathLike[str] | ModelInfo = DEFAULT_MODEL,
         *,
         threads: int | None = None,
-        providers: Sequence[str] | None = None,
+        providers: Sequence[Provider] | None = None,
         temporal: bool = True,
         max_memory: int | None = None,
         engine: Engine | None = None,
     ) -> None:
-        if threads is not None and threads < 1:
-            raise InputError(f"threads must be 1 or more, got {threads}")
-        threads = threads or available_threads()
+        threads = _checked_threads(threads)
+        if isinstance(providers, str):
+            raise InputError(f"providers must be a sequence of names, got the string '{providers}'")
         self.model = model if isinstance(model, ModelInfo) else find_model(model)
         self.temporal = temporal
         self.max_memory = max_memory
@@ -84,6 +88,7 @@ class Denoiser:
             self.model.path, threads=threads, providers=tuple(providers) if providers else None
         )
         self._owns_engine = engine is None
+        self._turns = Turns()
         self._strips = Strips(threads)
         self._workspace = Scratch()
         self._state: State | None = None
@@ -102,7 +107,8 @@ class Denoiser:
         self.close()
 
     def close(self) -> None:
-        """Stop the worker threads; an engine that was given stays open."""
+        """Stop the worker threads; an engine that was given stays open. May be called again."""
+        self._turns.close()
         if self._owns_engine:
             self.engine.close()
         self._strips.close()
@@ -136,28 +142,35 @@ class Denoiser:
         InputError
             As `denoise` and `denoise_layers`.
         """
-        return list(self._plan(frame, layers, Context(strips=self._strips)).stages)
+        with self._turns.take():
+            return list(self._plan(frame, layers, Context(strips=self._strips)).stages)
 
-    def denoise(self, frame: Frame) -> np.ndarray:
+    def denoise(self, frame: Frame, *, out: np.ndarray | None = None) -> np.ndarray:
         """Denoise the next frame.
 
         Parameters
         ----------
         frame
             The buffers. A frame of another size than the last starts a new history.
+        out : (height, width, 3) float, optional
+            Where the picture is put, strided or not; in half precision clamped to its range.
 
         Returns
         -------
-        (height, width, 3) float32
+        (height, width, 3) float32, or ``out``
             Scene-linear radiance: finite, >= 0; a mean of the accumulated irradiance of each
             window, since kernels cannot invent light, times a mean of the albedo around.
 
         Raises
         ------
         InputError
-            The frame does not fit into ``max_memory``, not even in tiles.
+            The frame does not fit into ``max_memory``, not even in tiles; ``out`` has another
+            shape; the denoiser is closed, or used elsewhere, see `stillray.pipeline.turns`.
         """
-        return self._run(frame, {})[0]
+        if out is None:
+            return self._run(frame, {})[0]
+        check_output(out, frame.shape)
+        return put(self._run(frame, {})[0], out)
 
     def denoise_layers(
         self,
@@ -199,22 +212,23 @@ class Denoiser:
     def _run(
         self, frame: Frame, layers: Mapping[str, np.ndarray], irradiance: Collection[str] = ()
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        self.last_timings = {}
-        context = Context(
-            strips=self._strips,
-            engine=self.engine,
-            workspace=self._workspace,
-            timings=self.last_timings,
-            spare=self._spare,
-        )
-        step = self._family.step(self._plan(frame, layers, context), context)
-        images: dict[str, np.ndarray] = {}
-        if step.filter_layer is not None:
-            with timed(self.last_timings, "layers"):
-                for name, layer in layers.items():
-                    images[name] = step.filter_layer(name, layer, irradiance=name in irradiance)
-        self._remember(step.finish())
-        return step.image, images
+        with self._turns.take():
+            self.last_timings = {}
+            context = Context(
+                strips=self._strips,
+                engine=self.engine,
+                workspace=self._workspace,
+                timings=self.last_timings,
+                spare=self._spare,
+            )
+            step = self._family.step(self._plan(frame, layers, context), context)
+            images: dict[str, np.ndarray] = {}
+            if step.filter_layer is not None:
+                with timed(self.last_timings, "layers"):
+                    for name, layer in layers.items():
+                        images[name] = step.filter_layer(name, layer, irradiance=name in irradiance)
+            self._remember(step.finish())
+            return step.image, images
 
     def _plan(self, frame: Frame, layers: Collection[str], context: Context) -> Plan:
         traits = self._family.traits
@@ -239,6 +253,14 @@ class Denoiser:
         self._state, self._shared = state, False
         if not self.temporal:
             self._state, self._spare = None, state
+
+
+def _checked_threads(threads: int | None) -> int:
+    if threads is None:
+        return available_threads()
+    if isinstance(threads, bool) or not isinstance(threads, Integral) or threads < 1:
+        raise InputError(f"threads must be an integer, 1 or more, got {threads!r}")
+    return min(int(threads), max(os.cpu_count() or 1, available_threads()))
 
 
 def denoise(

@@ -122,6 +122,8 @@ def find_scenes(folder: Path) -> list[Path]:
     InputError
         There is none.
     """
+    if not folder.is_dir():
+        raise InputError(f"folder must hold sequences with references, got {folder}: no folder")
     found = _sequences(folder)
     if not found:
         raise InputError(f"folder must hold sequences with references, got {folder}")

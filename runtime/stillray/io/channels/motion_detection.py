@@ -14,7 +14,6 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -102,7 +101,7 @@ def detect_motion(
     InputError
         A file cannot be read.
     """
-    file, previous = ExrFile.open(now), ExrFile.open(before)
+    file, previous = (ExrFile.of_layers(path, layers) for path in (now, before))
     matches = {match.role: match for match in find_layers(file.channels, layers)}
     motion = matches.get("motion")
     if motion is None or motion.convention is None or "color" not in matches:
@@ -158,7 +157,7 @@ def detect_in_sequence(
 
 def needs_proof(path: str | os.PathLike[str], layers: Mapping[str, str] | None = None) -> bool:
     """Whether a file has motion that is of no use until its convention is proven."""
-    names = ExrFile.open(Path(path), headers_only=True).channels
+    names = ExrFile.of_layers(path, layers, headers_only=True).channels
     return any(m.role == "motion" and not m.used for m in find_layers(names, layers))
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +25,7 @@ MOST_HEADER_BYTES, MOST_PARTS, MOST_CHANNELS = 2**26, 4096, 4096
 
 MAGIC, VERSION = 20000630, 2
 _TILED, _LONG_NAMES, _DEEP, _MULTI_PART = 0x200, 0x400, 0x800, 0x1000
+_MIP_MAP, _RIP_MAP = 1, 2  # how smaller copies of a picture are made
 # Number in the file: name, rows in a chunk of scan lines
 _COMPRESSIONS = {
     0: ("none", 1), 1: ("rle", 1), 2: ("zips", 1), 3: ("zip", 16), 4: ("piz", 32),
@@ -91,7 +92,7 @@ class Part:
     tile
         Width and height of a tile; None where the part is stored in scan lines.
     levels
-        Whether smaller copies of the picture are stored too.
+        Whether smaller copies of the picture are stored too: mip maps or rip maps.
     deep
         Whether a pixel holds many samples.
     """
@@ -122,12 +123,26 @@ class Part:
 
     @property
     def chunk_count(self) -> int | None:
-        """Chunks by the size of the picture; None where there are levels."""
-        if self.levels:
-            return None
+        """Chunks by the size of the picture; None where its levels are of an unknown kind."""
         if self.tile is None:
             return -(-self.data.height // self.chunk_rows)
-        return -(-self.data.width // self.tile[0]) * -(-self.data.height // self.tile[1])
+        if not self.levels:
+            return self._tiles(self.data.width, self.data.height)
+        mode = next(a.value[8] for a in self.attributes if a.name == "tiles")
+        widths, heights = (
+            _level_sizes(size, round_up=bool(mode >> 4))
+            for size in (self.data.width, self.data.height)
+        )
+        if mode & 0xF == _RIP_MAP:
+            return sum(self._tiles(w, h) for w in widths for h in heights)
+        if mode & 0xF == _MIP_MAP:
+            # the shorter side stays at one pixel
+            return sum(self._tiles(w, h) for w, h in zip_longest(widths, heights, fillvalue=1))
+        return None
+
+    def _tiles(self, width: int, height: int) -> int:
+        assert self.tile is not None
+        return -(-width // self.tile[0]) * -(-height // self.tile[1])
 
 
 @dataclass(frozen=True)
@@ -191,6 +206,14 @@ def compression_attribute(name: str) -> Attribute:
 def string_attribute(name: str, text: str) -> Attribute:
     """An attribute that holds a text."""
     return Attribute(name, "string", text.encode())
+
+
+def _level_sizes(size: int, *, round_up: bool) -> list[int]:
+    """Pixels of one side, level by level down to one."""
+    sizes = [size]
+    while sizes[-1] > 1:
+        sizes.append((sizes[-1] + round_up) // 2)
+    return sizes
 
 
 class _BrokenError(Exception):
@@ -283,7 +306,7 @@ class _Parser:
                 raise _BrokenError(f"{claimed} chunks do not make its picture")
             return claimed
         if count is None:
-            raise _BrokenError("levels without a number of chunks are not supported")
+            raise _BrokenError("its levels are of an unknown kind")
         return count
 
     def chunk(self, part: Part, number: int, index: int, start: int, flags: int) -> Chunk:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from stillray.io.channels.roles import find_layers
 from stillray.io.exr.container import Container, Window
 from stillray.io.exr.deflate import is_plain, read_planes
 from stillray.io.exr.openimageio import checked_container, opened, openimageio, reason
+from stillray.io.exr.views import VIEW, channels_of_view, require_view, views_of
 
 Channels = dict[str, np.ndarray]
 
@@ -34,33 +36,88 @@ class ExrFile:
     channels
         Name of each channel to the number of its part and its name there. Where a part has a
         name and its channels carry no layer, ``part.channel`` is the name; in the first part
-        only if that is a known layer.
+        only if that is a known layer. Of one view alone, if one was asked for, and without its
+        name.
+    views
+        Names of all views that the file holds, see `stillray.io.exr.views`; empty for one picture.
     """
 
     path: Path
     container: Container
     channels: Mapping[str, tuple[int, str]]
+    views: tuple[str, ...] = ()
 
     @classmethod
-    def open(cls, path: str | os.PathLike[str], *, headers_only: bool = False) -> ExrFile:
+    def open(
+        cls, path: str | os.PathLike[str], *, headers_only: bool = False, view: str | None = None
+    ) -> ExrFile:
         """Read headers and, unless told otherwise, the table of chunks; no pixels.
+
+        Parameters
+        ----------
+        path
+            The file.
+        headers_only
+            Leave the table of chunks alone.
+        view
+            Name of the view to take of a file that holds several; None for all channels, without
+            the view's name where there is one alone.
 
         Raises
         ------
         InputError
-            The file is missing, not EXR, truncated, or its claims cannot be true.
+            The file is missing, not EXR, truncated, its claims cannot be true, or it has no such
+            view.
         """
         path = Path(path)
         container = checked_container(path, headers_only=headers_only)
+        views = views_of(container)
+        if view is None and len(views) == 1:
+            (view,) = views
+        if view is None:
+            listed = [
+                (number, part.name, channel.name, channel.name)
+                for number, part in enumerate(container.parts)
+                for channel in part.channels
+            ]
+        else:
+            require_view(views, view, path)
+            listed = list(channels_of_view(container, view))
         channels: dict[str, tuple[int, str]] = {}
-        for number, part in enumerate(container.parts):
-            plain = [channel.name for channel in part.channels]
-            keys = [f"{part.name}.{c}" if part.name and "." not in c else c for c in plain]
+        for number, group in groupby(listed, key=lambda entry: entry[0]):
+            entries = list(group)
+            plain = [channel for _, _, channel, _ in entries]
+            keys = [f"{part}.{c}" if part and "." not in c else c for _, part, c, _ in entries]
             # the first part is often the beauty under a name of its own: then R, G, B say more
-            keys = keys if number or find_layers(keys) else plain
-            for key, name in zip(keys, plain, strict=True):
+            keys = keys if number != listed[0][0] or find_layers(keys) else plain
+            for key, (_, _, _, name) in zip(keys, entries, strict=True):
                 channels.setdefault(key, (number, name))
-        return cls(path, container, channels)
+        return cls(path, container, channels, views)
+
+    @classmethod
+    def of_layers(
+        cls,
+        path: str | os.PathLike[str],
+        layers: Mapping[str, str] | None,
+        *,
+        headers_only: bool = False,
+    ) -> ExrFile:
+        """As `open`, in the view that ``layers`` name under `stillray.io.exr.views.VIEW`.
+
+        Raises
+        ------
+        InputError
+            The file holds several views and none is named: one of them in silence would leave an
+            eye noisy.
+        """
+        file = cls.open(path, headers_only=headers_only, view=(layers or {}).get(VIEW))
+        if len(file.views) > 1 and VIEW not in (layers or {}):
+            raise InputError(
+                f"{path}: holds the views {', '.join(file.views)}: --view {file.views[0]} denoises "
+                "that one and keeps all others as they are; then the same with the result as input "
+                f"and --view {file.views[1]}"
+            )
+        return file
 
     def window(self, channel: str) -> Window:
         """The data window of the part that holds a channel."""

@@ -21,13 +21,15 @@ from stillray.io.channels.roles import LayerMatch, find_alone, find_layers, find
 from stillray.io.exr.container import Window
 from stillray.io.exr.file import Channels, ExrFile
 from stillray.io.exr.openimageio import checked_container, opened, openimageio, reason
-from stillray.io.exr.rewrite import rewrite
+from stillray.io.exr.rewrite import rewrite, unkept
+from stillray.io.exr.views import VIEW
 from stillray.version import __version__
 
 __all__ = [
     "ExrFile",
     "atomic_path",
     "check_layer",
+    "expected_changes",
     "read_channels",
     "read_exr",
     "read_lights",
@@ -37,6 +39,8 @@ __all__ = [
     "write_channels",
     "write_exr",
 ]
+
+_MOST_LISTED = 40  # channels in a message
 
 # Attributes that describe the stored pixels, not the picture: OpenImageIO sets them anew.
 _STORAGE_PREFIXES = ("oiio:", "openexr:")
@@ -69,7 +73,8 @@ def read_exr(
         Plain motion (X, Y or R, G) is in pixels, previous minus current position, y down.
     layers
         Role to the layer or channels to take for it, as
-        `stillray.io.channels.roles.parse_overrides` gives.
+        `stillray.io.channels.roles.parse_overrides` gives; and, of a file with several views,
+        ``"view"`` to the name of the one to take.
     convention
         What the file's motion means, where its layer alone does not tell: from
         `stillray.io.channels.motion_detection.detect_motion`.
@@ -85,10 +90,10 @@ def read_exr(
     InputError
         A file cannot be read completely, lacks its buffer, or differs in size.
     """
-    file = ExrFile.open(path)
+    file = ExrFile.of_layers(path, layers)
     companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
     given = {role: Path(p) for role, p in companions.items() if p is not None}
-    found = require_color(file.path, find_layers(file.channels, layers))
+    found = _color_and_more(file, layers)
     matches = [
         match.proven(convention) if match.role == "motion" and convention else match
         for match in found
@@ -101,7 +106,7 @@ def read_exr(
     planes = file.read(names, window)
     buffers = {m.role: gather(m, planes) for m in matches if m not in late}
     if late and before is not None:  # a first frame has no frame before, and needs no motion
-        previous = ExrFile.open(before)
+        previous = ExrFile.of_layers(before, layers)
         _require_channels(previous, late[0].channels)
         buffers["motion"] = gather(late[0], previous.read(late[0].channels, window))
     for role, companion in given.items():
@@ -121,8 +126,8 @@ def read_picture(
     InputError
         The file cannot be read, or has no color.
     """
-    file = ExrFile.open(path)
-    color = require_color(file.path, find_layers(file.channels, layers))[0].writes
+    file = ExrFile.open(path, view=(layers or {}).get(VIEW))
+    color = _color_and_more(file, layers)[0].writes
     planes = file.read(color, file.window(color[0]))
     return np.stack([planes[name] for name in color], axis=-1)
 
@@ -154,8 +159,8 @@ def read_lights(
     InputError
         The file cannot be read, or has no such layer.
     """
-    file = ExrFile.open(path)
-    color = require_color(file.path, find_layers(file.channels, layers))[0]
+    file = ExrFile.of_layers(path, layers)
+    color = _color_and_more(file, layers)[0]
     channels = _lights(file, names, layers)
     wanted = dict.fromkeys(name for listed in channels.values() for name in listed)
     planes = file.read(wanted, file.window(color.channels[0]))
@@ -165,24 +170,49 @@ def read_lights(
     }
 
 
-def require_color(path: Path, matches: list[LayerMatch]) -> list[LayerMatch]:
-    """The matches; `InputError` where none of them is color."""
+def require_color(path: Path, matches: list[LayerMatch], names: Iterable[str]) -> list[LayerMatch]:
+    """The matches; `InputError`, which lists the file's channels, where none of them is color."""
     if not any(match.role == "color" for match in matches):
-        raise InputError(
-            f"{path}: must hold color channels, R, G, B or a known renderer's; none found"
-        )
+        raise InputError(f"{path}: must hold color channels, {_instead_of_color(list(names))}")
     return matches
+
+
+def _instead_of_color(names: list[str]) -> str:
+    """What a file without color holds, and what can be done about it."""
+    parts = {name.rpartition(".")[2] for name in names}
+    if {"Y", "RY", "BY"} <= parts:
+        return "it holds luminance and chroma (Y, RY, BY), which must be converted to R, G, B"
+    if set(names) <= {"Y", "A"}:
+        return "it holds luminance (Y) alone; --layer color=Y,Y,Y takes it for grey"
+    listed = ", ".join(names[:_MOST_LISTED])
+    more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
+    return (
+        f"R, G, B or a known renderer's, but holds {listed}{more}; --layer color=NAME takes a "
+        "layer, or three channels with commas between"
+    )
+
+
+def _color_and_more(file: ExrFile, layers: Mapping[str, str] | None) -> list[LayerMatch]:
+    return require_color(file.path, find_layers(file.channels, layers), file.channels)
 
 
 def check_layer(
     path: str | os.PathLike[str], role: str, layers: Mapping[str, str] | None = None
 ) -> None:
     """Raise `InputError` where a file's header holds no buffer of that role; reads no pixels."""
-    file = ExrFile.open(path, headers_only=True)
     if role == "color":
-        require_color(file.path, find_layers(file.channels, layers))
+        _color_and_more(ExrFile.of_layers(path, layers, headers_only=True), layers)
     else:
+        file = _companion(Path(path), layers, headers_only=True)
         _require_alone(role, file.path, file.channels, layers)
+
+
+def _companion(
+    path: Path, layers: Mapping[str, str] | None, *, headers_only: bool = False
+) -> ExrFile:
+    """A file of one buffer: in the view that was chosen, if it has several."""
+    file = ExrFile.open(path, headers_only=headers_only)
+    return ExrFile.of_layers(path, layers, headers_only=headers_only) if file.views else file
 
 
 def read_channels(path: str | os.PathLike[str]) -> Channels:
@@ -274,7 +304,7 @@ def write_exr(
         raise InputError(f"image must be floating point, got {image.dtype}")
     tags = {"stillray:version": __version__, **(attributes or {})}
     if like is not None and not only_color:
-        source = ExrFile.open(like)
+        source = ExrFile.of_layers(like, layers)
         color = [m for m in find_layers(source.channels, layers) if m.role == "color"]
         if color and _same_size(source.window(color[0].writes[0]), image):
             replaced = {
@@ -287,6 +317,24 @@ def write_exr(
     return write_channels(
         path, {name: image[..., i] for i, name in enumerate("RGB")}, like=like, attributes=tags
     )
+
+
+def expected_changes(
+    path: str | os.PathLike[str], layers: Mapping[str, str] | None = None
+) -> list[str]:
+    """What `write_exr` cannot keep of a source's structure, each in a line; reads headers only.
+
+    Parameters
+    ----------
+    path
+        The source.
+    layers
+        As for `write_exr`.
+    """
+    file = ExrFile.of_layers(path, layers, headers_only=True)
+    color = [match for match in find_layers(file.channels, layers) if match.role == "color"]
+    numbers = sorted({file.channels[name][0] for match in color for name in match.writes})
+    return [line for number in numbers for line in unkept(file.container.parts[number])]
 
 
 def write_channels(
@@ -424,7 +472,7 @@ def _read_alone(
     layers: Mapping[str, str] | None,
 ) -> np.ndarray:
     """A buffer from a file of its own, in the data window of the color that it goes with."""
-    file = ExrFile.open(path)
+    file = _companion(path, layers)
     match = _require_alone(role, path, file.channels, layers)
     own = file.window(match.channels[0])
     same_picture = file.container.parts[0].display == beside.container.parts[0].display

@@ -67,8 +67,8 @@ def rewrite(
     Raises
     ------
     InputError
-        A part to change holds levels, many samples a pixel or subsampled channels, or the file
-        cannot be decoded.
+        A part to change holds many samples a pixel or subsampled channels, or the file cannot be
+        decoded.
     OSError
         The target cannot be written; the one who chose its name can say which file that is.
     """
@@ -105,16 +105,39 @@ def rewrite(
     return clamped
 
 
+def unkept(part: Part) -> list[str]:
+    """What of a part's structure is not kept where its color is replaced, each in a line."""
+    lines = []
+    if part.levels:
+        lines.append("mip-mapped color is written at its full resolution alone")
+    if _rounds_integers(part):
+        lines.append(
+            f"compression {part.compression} becomes zip, since it would round the integers beside "
+            "the color"
+        )
+    return lines
+
+
+def _rounds_integers(part: Part) -> bool:
+    integers = any(channel.kind == "uint" for channel in part.channels)
+    return integers and part.compression not in _SAME_BITS
+
+
 def _encodable(source: Path, part: Part) -> Part:
     """The part as it will be encoded."""
-    if part.deep or part.levels or any(channel.sampling != (1, 1) for channel in part.channels):
+    if part.deep or any(channel.sampling != (1, 1) for channel in part.channels):
         raise InputError(
             f"{source}: cannot be written with its structure: the part with its color must be flat,"
-            " of one level, and without subsampled channels"
+            " and without subsampled channels"
         )
-    integers = any(channel.kind == "uint" for channel in part.channels)
-    if integers and part.compression not in _SAME_BITS:
-        # these would round integers that stand beside colour; nothing is lost with zip
+    if part.levels:
+        tiles = [a for a in part.attributes if a.name == "tiles"]
+        # smaller copies of the noisy picture would not belong to the clean one
+        part = _with_attributes(
+            replace(part, levels=False), [a._replace(value=a.value[:8] + b"\0") for a in tiles]
+        )
+    if _rounds_integers(part):
+        # nothing is lost with zip
         compression = compression_attribute("zip")
         return _with_attributes(replace(part, compression="zip"), (compression,))
     return part

@@ -1,0 +1,233 @@
+"""What a model's network may be made of, and what it gives: known before it is run.
+
+`OPERATORS` are those that `stillray-export` writes, each with its rule. All of them keep to images
+whose size is the frame's over a whole number, so that a walk through the graph says how many planes
+come out at which resolution, and how much work a pixel is; both have a limit. A network of another
+operator needs a rule here, and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stillray.models.onnx_file import Graph, Node
+
+#: Of one tensor.
+MAX_PLANES = 1024
+#: A pixel of the frame: the models that come with stillray take up to 0.1 million.
+MAX_MULTIPLICATIONS = 4_000_000
+_MAX_KERNEL = 31  # pixels
+_MAX_REDUCTION = 256
+_RANK = 4  # axes: frame, plane, row, column
+
+
+class GraphError(ValueError):
+    """A graph that cannot be run safely: the message says what is wrong."""
+
+
+@dataclass(frozen=True)
+class Planes:
+    """A tensor of ``count`` planes, each of the frame's height and width over ``reduction``."""
+
+    count: int
+    reduction: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Interface:
+    """What a network takes and gives.
+
+    Attributes
+    ----------
+    features
+        Planes of its input.
+    outputs
+        In the order in which they are given.
+    multiplications
+        Of one frame, a pixel.
+    """
+
+    features: int
+    outputs: tuple[Planes, ...]
+    multiplications: float
+
+
+def interface_of(graph: Graph) -> Interface:
+    """Walk through a graph, and learn what it takes and gives.
+
+    Raises
+    ------
+    GraphError
+        It holds an operator, or a use of one, that no export of stillray writes, or is too large.
+    """
+    features = _features(graph)
+    known = {"features": Planes(features, 1)}
+    work = 0.0
+    for node in graph.nodes:
+        rule = OPERATORS.get(node.operator)
+        if rule is None:
+            raise GraphError(
+                f"operators must be among {', '.join(OPERATORS)}, got {node.operator or 'none'}"
+            )
+        if len(node.outputs) != 1 or node.outputs[0] in known or node.outputs[0] in graph.tensors:
+            raise GraphError(f"{node.operator} must give one tensor with a name of its own")
+        made, multiplications = rule(node, _Inputs(node, known, graph.tensors))
+        if made.count > MAX_PLANES:
+            raise GraphError(f"{node.operator} gives {made.count} planes, more than {MAX_PLANES}")
+        work += multiplications / made.reduction**2
+        if work > MAX_MULTIPLICATIONS:
+            raise GraphError(f"more than {MAX_MULTIPLICATIONS} multiplications a pixel")
+        known[node.outputs[0]] = made
+    if not graph.outputs or not set(graph.outputs) <= known.keys() - {"features"}:
+        raise GraphError("every output must be what a node gives")
+    if len(set(graph.outputs)) != len(graph.outputs):
+        raise GraphError("outputs must have names of their own")
+    return Interface(
+        features=features,
+        outputs=tuple(known[name] for name in graph.outputs),
+        multiplications=work,
+    )
+
+
+def _features(graph: Graph) -> int:
+    if [source.name for source in graph.inputs] != ["features"] or "features" in graph.tensors:
+        names = ", ".join(source.name for source in graph.inputs[:8])
+        raise GraphError(f"the one input must be features, got {names or 'none'}")
+    shape = graph.inputs[0].shape
+    if len(shape) != _RANK or shape[0] != 1 or shape[2:] != (None, None):
+        raise GraphError(f"features must have shape (1, planes, height, width), got {shape}")
+    planes = shape[1]
+    if planes is None or not 1 <= planes <= MAX_PLANES:
+        raise GraphError(f"features must have 1 to {MAX_PLANES} planes, got {planes}")
+    return planes
+
+
+class _Inputs:
+    """A node's inputs by place: planes that are known by now, or tensors of the file."""
+
+    def __init__(
+        self, node: Node, known: Mapping[str, Planes], tensors: Mapping[str, np.ndarray]
+    ) -> None:
+        self._node, self._known, self._tensors = node, known, tensors
+
+    def __len__(self) -> int:
+        return len(self._node.inputs)
+
+    def planes(self, place: int) -> Planes:
+        name = self._name(place)
+        if name not in self._known:
+            raise GraphError(f"{self._node.operator} takes {name}, which nothing has given")
+        return self._known[name]
+
+    def tensor(self, place: int) -> np.ndarray:
+        name = self._name(place)
+        if name not in self._tensors:
+            raise GraphError(f"{self._node.operator} must take {name} from the file")
+        return self._tensors[name]
+
+    def is_left_out(self, place: int) -> bool:
+        return self._name(place) == ""
+
+    def _name(self, place: int) -> str:
+        if place >= len(self._node.inputs):
+            raise GraphError(f"{self._node.operator} has too few inputs")
+        return self._node.inputs[place]
+
+
+_Rule = Callable[[Node, _Inputs], tuple[Planes, float]]
+
+
+def _require(node: Node, holds: bool, rule: str) -> None:
+    if not holds:
+        raise GraphError(f"{node.operator} {rule}")
+
+
+def _only(node: Node, inputs: int | tuple[int, int], attributes: Mapping[str, Any]) -> None:
+    """Refuse other counts of inputs, unknown attributes, and values other than None or these."""
+    least, most = (inputs, inputs) if isinstance(inputs, int) else inputs
+    _require(node, least <= len(node.inputs) <= most, f"must have {most} inputs")
+    for name, value in node.attributes.items():
+        _require(node, name in attributes, f"must not have {name}")
+        wanted = attributes[name]
+        _require(node, wanted is None or value == wanted, f"must have {name} {wanted}, got {value}")
+
+
+def _convolution(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
+    free = {"kernel_shape": None, "strides": None, "pads": None}
+    _only(node, (2, 3), {**free, "auto_pad": "NOTSET", "group": 1, "dilations": (1, 1)})
+    taken, weights = inputs.planes(0), inputs.tensor(1)
+    _require(node, weights.ndim == _RANK, "must have weights of four axes")
+    count, wanted, *sizes = weights.shape
+    _require(node, wanted == taken.count, f"must take {wanted} planes, got {taken.count}")
+    _require(node, max(sizes) <= _MAX_KERNEL, f"must look at {_MAX_KERNEL} pixels at most")
+    given = node.attributes.get("kernel_shape", tuple(sizes))
+    _require(node, given == tuple(sizes), f"must have kernel_shape {tuple(sizes)}, got {given}")
+    if len(inputs) > 2:
+        bias = inputs.tensor(2).shape
+        _require(node, bias == (count,), f"must have a bias of {count} numbers, got {bias}")
+    strides = node.attributes.get("strides", (1, 1))
+    _require(node, strides in ((1, 1), (2, 2)), f"must have strides of 1 or 2, got {strides}")
+    pads = node.attributes.get("pads", (0, 0, 0, 0))
+    _require(node, len(pads) == _RANK and min(pads) >= 0, f"must have four pads, got {pads}")
+    step = strides[0]
+    for size, before, after in zip(sizes, pads[:2], pads[2:], strict=True):
+        # exactly a ``step``-th of the pixels comes out, from any whole number of them
+        fits = size - step <= before + after < size
+        _require(node, fits, f"must keep the size of images, got pads {pads}")
+    reduction = taken.reduction * step
+    _require(node, reduction <= _MAX_REDUCTION, f"must reduce {_MAX_REDUCTION} times at most")
+    return Planes(count, reduction), float(weights.size)
+
+
+def _pointwise(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
+    _only(node, 1, {})
+    return inputs.planes(0), 0.0
+
+
+def _clip(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
+    _only(node, 3, {})
+    for place in (1, 2):
+        _require(node, inputs.tensor(place).shape == (), "must have one number for each bound")
+    return inputs.planes(0), 0.0
+
+
+def _add(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
+    _only(node, 2, {})
+    first, second = inputs.planes(0), inputs.planes(1)
+    _require(node, first == second, "must take tensors of one size")
+    return first, 0.0
+
+
+def _concatenation(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
+    _only(node, (1, MAX_PLANES), {"axis": 1})
+    _require(node, "axis" in node.attributes, "must have axis 1")
+    parts = [inputs.planes(place) for place in range(len(inputs))]
+    _require(node, len({part.reduction for part in parts}) == 1, "must take images of one size")
+    return Planes(sum(part.count for part in parts), parts[0].reduction), 0.0
+
+
+def _doubling(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
+    free = ("coordinate_transformation_mode", "cubic_coeff_a", "extrapolation_value", "mode",
+            "nearest_mode")  # fmt: skip
+    fixed = {"antialias": 0, "exclude_outside": 0, "keep_aspect_ratio_policy": "stretch"}
+    _only(node, 3, {**dict.fromkeys(free), **fixed})
+    taken, scales = inputs.planes(0), inputs.tensor(2)
+    _require(node, inputs.is_left_out(1), "must resize whole images")
+    doubles = scales.shape == (_RANK,) and scales.tolist() == [1, 1, 2, 2]
+    _require(node, doubles and taken.reduction > 1, "must double what was reduced")
+    return Planes(taken.count, taken.reduction // 2), 0.0
+
+
+OPERATORS: dict[str, _Rule] = {
+    "Add": _add,
+    "Clip": _clip,
+    "Concat": _concatenation,
+    "Conv": _convolution,
+    "Relu": _pointwise,
+    "Resize": _doubling,
+    "Sigmoid": _pointwise,
+}

@@ -1,0 +1,63 @@
+"""Images in files, as `oidnDenoise` takes and gives them: PFM, PHM, and EXR."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from stillray.errors import InputError
+from stillray.io.channels.roles import find_alone, gather
+from stillray.io.exr.file import ExrFile
+from stillray.io.exr.read_write import read_exr, write_exr
+from stillray.io.pfm import SUFFIXES as FLOAT_MAPS
+from stillray.io.pfm import read_pfm, write_pfm
+
+SUFFIXES = (*FLOAT_MAPS, ".exr")
+
+
+def check_suffix(path: Path) -> Path:
+    """The path, if its suffix is that of a file that can be read and written.
+
+    Raises
+    ------
+    InputError
+        It is another.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: must be a {', '.join(SUFFIXES)} file")
+    return path
+
+
+def read_image(path: Path, role: str) -> np.ndarray:
+    """Read ``"color"``, ``"albedo"`` or ``"normal"`` from a file: ``(h, w, 3 or 1)`` float32.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or holds no such image.
+    """
+    if check_suffix(path).suffix.lower() in FLOAT_MAPS:
+        return read_pfm(path)
+    if role == "color":
+        return read_exr(path).color
+    file = ExrFile.open(path)
+    match = find_alone(role, list(file.channels), None)
+    if match is None:
+        raise InputError(f"{path}: must hold {role} channels, got {', '.join(file.channels)}")
+    return gather(match, file.read(match.channels))
+
+
+def write_image(path: Path, image: np.ndarray, *, like: Path | None = None) -> None:
+    """Write a picture, complete or not at all; EXR with the windows and tags of ``like``.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    if check_suffix(path).suffix.lower() in FLOAT_MAPS:
+        write_pfm(path, image)
+        return
+    source = like if like is not None and like.suffix.lower() == ".exr" else None
+    write_exr(path, np.broadcast_to(image, (*image.shape[:2], 3)), like=source, only_color=True)
