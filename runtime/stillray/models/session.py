@@ -34,6 +34,7 @@ def checked(data: bytes, origin: Path | str) -> tuple[OnnxFile, Interface]:
     except (WireError, GraphError) as error:
         raise InputError(f"{origin}: not a usable ONNX model: {error}") from None
 
+
 #: An execution provider of ONNX Runtime: its name, or its name and its options.
 Provider = str | tuple[str, Mapping[str, Any]]
 
