@@ -16,6 +16,7 @@ from stillray.batch.run import FrameReport, finished, remove_leftovers
 from stillray.batch.shot import RunStep, ShotFrame, first_run, make_folders, plan_shot, steps_to_run
 from stillray.errors import InputError
 from stillray.families.registry import family_of
+from stillray.frame import check_samples
 from stillray.io.channels.motion_detection import Detection
 from stillray.io.exr.read_write import expected_changes
 from stillray.models.registry import DEFAULT_MODEL, ModelInfo, find_model
@@ -35,6 +36,8 @@ class ShotOptions:
     layers
         Role to the layer, or channels, to take for it; and ``"view"`` to the view to denoise of
         files that hold several.
+    samples
+        Samples a pixel of the frames, above 0; None for what the files say.
     aovs
         Layers of light to filter as the color; empty for all that are known, None for none.
     only_color
@@ -66,6 +69,7 @@ class ShotOptions:
 
     companions: Mapping[str, str] = field(default_factory=dict)
     layers: Mapping[str, str] = field(default_factory=dict)
+    samples: float | None = None
     aovs: tuple[str, ...] | None = None
     only_color: bool = False
     frames: str | None = None
@@ -81,6 +85,8 @@ class ShotOptions:
     chunk: int | None = None
 
     def __post_init__(self) -> None:
+        if self.samples is not None:
+            check_samples(self.samples)
         if self.workers is not None and self.workers < 1:
             raise InputError(f"workers must be 1 or more, got {self.workers}")
         if self.workers is not None and self.scheduler is not None:
@@ -298,6 +304,7 @@ def plan_run(
         aovs=options.aovs,
         only_color=options.only_color,
         temporal=temporal and "motion" not in options.companions,
+        samples=options.samples,
     )
     chosen = find_model(model)
     memory, cuts = _memory(chosen, options, len(jobs)), options.cuts and temporal

@@ -126,7 +126,7 @@ def decide(
 
 _REPAIR = {
     True: "every value is finite and in its range",
-    False: "a value is NaN, infinite or out of its range",
+    False: "a value is NaN, infinite or out of its range, or a pixel has no samples",
 }
 
 

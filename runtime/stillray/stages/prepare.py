@@ -19,6 +19,7 @@ from stillray.stages.exposure import Exposed, expose, local_luminance
 from stillray.stages.means import Means
 from stillray.stages.motion_dilation import follow_nearer
 from stillray.stages.repair import Buffers
+from stillray.stages.sample_counts import SampleCounts
 from stillray.stages.state import History, Prepared
 from stillray.timing import timed, timed_pass
 
@@ -67,6 +68,7 @@ def prepare_planned(plan: TemporalPlan, means: Means) -> Prepared:
             brightness=exposed.brightness,
             divisor=remembered,
             divisor_samples=samples,
+            frame_samples=pixels.counts.mean,
         ),
         sample=pixels.sample,
         luminance=exposed.luminance,
@@ -81,6 +83,7 @@ def prepare_planned(plan: TemporalPlan, means: Means) -> Prepared:
         picture_positions=pixels.positions if pixels.looks_back else None,
         disoccluded=pixels.disoccluded,
         history_confidence=exposed.history_confidence,
+        counts=pixels.counts,
     )
 
 
@@ -124,6 +127,8 @@ class _Pixels:
         Where pixels were, if anything moves.
     looks_back
         Whether anybody looks at pictures of the past there.
+    counts
+        The frame's samples.
     """
 
     def __init__(
@@ -132,6 +137,8 @@ class _Pixels:
         self._plan, self._buffers, self._exposed, self._means = plan, buffers, exposed, means
         shape, workspace, spare = plan.shape, means.workspace, means.spare_for(plan.shape)
         wants, moved = plan.wants, plan.moved
+        before = None if plan.past is None else plan.past.frame_samples
+        self.counts = SampleCounts.of(buffers.samples, before)
 
         def room(name: str, *more: int, dtype: type = np.float32) -> np.ndarray:
             return workspace.array(name, (*more, *shape), dtype)
@@ -214,8 +221,10 @@ class _Pixels:
             planes = planes_of(past, out=scratch.array("mean", (4, *past.shape[:2])))
             if self._exposed.history_confidence is not None:
                 planes[3] *= self._exposed.history_confidence[rows]
+            self.counts.held_by_pixel(planes[3], rows)
         irradiance, weight = self._weighed(rows, None if planes is None else planes[3])
         if planes is None:
+            self.counts.by_frame(weight, rows)
             cv2.merge([irradiance, weight], dst=self.mean[rows])
             return
         if self.sample is None:
@@ -223,11 +232,13 @@ class _Pixels:
         else:
             new = self.sample[:3, rows]
             np.copyto(self.sample[3, rows], weight)
+            self.counts.by_frame(self.sample[3, rows], rows)
         planes_of(irradiance, out=new)
         acc.accumulate(new, weight, planes, options, scratch)
-        interleave(planes, out=self.mean[rows])
         if self.disoccluded is not None:
             np.less_equal(planes[3], weight, out=self.disoccluded[rows].view(bool))
+        self.counts.by_frame(planes[3], rows)
+        interleave(planes, out=self.mean[rows])
         if self.accumulated is not None:
             features.luminance_of_planes(planes, out=self.accumulated[rows])
 
