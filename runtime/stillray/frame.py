@@ -8,7 +8,17 @@ import numpy as np
 
 from stillray.errors import InputError
 
-_CHANNELS = {"color": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "color_b": 3}
+_CHANNELS = {
+    "color": 3,
+    "albedo": 3,
+    "normal": 3,
+    "depth": 1,
+    "motion": 2,
+    "color_b": 3,
+    "samples": 1,
+}
+#: Samples a pixel that a frame may have; more is taken for a mistake.
+MOST_SAMPLES = 1e9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,11 +45,15 @@ class Frame:
         A second, independent estimate of color.
     jitter : (2,), optional
         Sub-pixel camera offset in pixels.
+    samples : number or (h, w), optional
+        Samples a pixel that color is the mean of: one number above 0, or a map where they differ,
+        as with adaptive sampling. A pixel of 0 samples carries nothing: its color is not looked
+        at. NaN in a map counts as the mean of the others.
 
     Raises
     ------
     InputError
-        An array has a wrong shape or type.
+        An array has a wrong shape or type, or ``samples`` holds what no count can be.
     """
 
     color: np.ndarray
@@ -49,6 +63,7 @@ class Frame:
     motion: np.ndarray | None = None
     color_b: np.ndarray | None = None
     jitter: np.ndarray | None = None
+    samples: float | np.ndarray | None = None
 
     def __post_init__(self) -> None:
         color = _as_float32("color", self.color)
@@ -58,7 +73,7 @@ class Frame:
         height, width = color.shape[:2]
         for name, channels in _CHANNELS.items():
             value = getattr(self, name)
-            if name == "color" or value is None:
+            if name == "color" or value is None or (name == "samples" and np.ndim(value) == 0):
                 continue
             array = _as_float32(name, value)
             expected = (height, width) if channels == 1 else (height, width, channels)
@@ -67,6 +82,10 @@ class Frame:
             if array.shape != expected:
                 raise InputError(f"{name} must have shape {expected} like color, got {array.shape}")
             object.__setattr__(self, name, array)
+        if self.samples is not None:
+            check_samples(self.samples)
+            if np.ndim(self.samples) == 0:
+                object.__setattr__(self, "samples", float(self.samples))
         if self.jitter is not None:
             jitter = _as_float32("jitter", self.jitter)
             if jitter.shape != (2,):
@@ -83,6 +102,24 @@ class Frame:
     def given(self) -> frozenset[str]:
         """Names of the buffers that this frame holds."""
         return frozenset(f.name for f in fields(self) if getattr(self, f.name) is not None)
+
+
+def check_samples(samples: float | np.ndarray) -> None:
+    """Raise `InputError` where a number or a map of samples a pixel cannot be that."""
+    array = np.asarray(samples)
+    if array.ndim == 0:
+        if array.dtype.kind not in "fiu" or not 0 < array <= MOST_SAMPLES:
+            raise InputError(
+                f"samples must be a number above 0, {MOST_SAMPLES:g} at most, got {samples}"
+            )
+        return
+    wrong = (array < 0) | (array > MOST_SAMPLES)  # NaN is neither
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0][:2]
+        raise InputError(
+            f"samples must be 0 to {MOST_SAMPLES:g} in every pixel, got "
+            f"{array[row, column]:g} at row {row}, column {column}"
+        )
 
 
 def _as_float32(name: str, value: object) -> np.ndarray:

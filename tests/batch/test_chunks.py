@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillray.batch.chunks import Work, denoise_chunk, split
+from stillray.batch.chunks import ShotSettings, denoise_chunk, split
 from stillray.batch.file_layout import Layout
 from stillray.batch.resume import Recipe, file_digest
-from stillray.batch.shot import Job, plan_shot
+from stillray.batch.shot import ShotFrame, plan_shot
 from stillray.cli import main
 from stillray.errors import InputError
 from stillray.io.exr.read_write import read_exr, read_metadata
@@ -43,7 +43,7 @@ def pictures(folder, pattern="clean.##.exr"):
 
 def listed(numbers, tmp_path, *, unwritten=()):
     return [
-        Job(
+        ShotFrame(
             number=n,
             source=tmp_path / f"{n}",
             companions={},
@@ -84,7 +84,7 @@ def test_split_makes_paths_that_hold_in_other_folders(tmp_path, monkeypatch):
 def work_of(**changes):
     digest = file_digest(find_model("wskp-3").path)
     recipe = Recipe(**{"model": "wskp-3", "model_digest": digest} | changes)
-    return Work(model="wskp-3", recipe=recipe, layout=Layout(), memory=3)
+    return ShotSettings(model="wskp-3", recipe=recipe, layout=Layout(), memory=3)
 
 
 def test_chunk_keeps_what_is_finished_and_tells_what_it_did_before_it_failed(shot):

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from stillray.batch.shot import Job, plan_shot, steps_to_run, window
+from stillray.batch.shot import ShotFrame, plan_shot, steps_to_run, window
 from stillray.errors import InputError
 from stillray.io.exr.read_write import write_channels
 
 
 def jobs(numbers, folder, *, unwritten=()):
     return [
-        Job(
+        ShotFrame(
             number=n,
             source=folder / f"{n}",
             companions={},

@@ -44,8 +44,9 @@ def test_own_layout_gives_every_role():
         ),
         (
             [*layer("Ci", "rgb"), "a", *layer("albedo", "rgb"), *layer("normal", "xyz"),
-             *layer("albedo_var", "rgb"), "zfiltered", "zfiltered_var"],
-            {"color": "Ci.r", "albedo": "albedo.r", "normal": "normal.x", "depth": "zfiltered"},
+             *layer("albedo_var", "rgb"), "zfiltered", "zfiltered_var", "sampleCount"],
+            {"color": "Ci.r", "albedo": "albedo.r", "normal": "normal.x", "depth": "zfiltered",
+             "samples": "sampleCount"},
         ),
         (
             [*layer("img", "RGBA"), *layer("albedo", "RGB"), *layer("sh_normal", "XYZ"),

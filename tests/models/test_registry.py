@@ -12,13 +12,13 @@ from stillray.models.registry import find_model, list_models, qualities
 
 def test_a_quality_opens_one_file(monkeypatch):
     opened = []
-    real = registry.open_session
+    real = registry.read_checked
 
     def counted(path, **options):
         opened.append(path.name)
         return real(path, **options)
 
-    monkeypatch.setattr(registry, "open_session", counted)
+    monkeypatch.setattr(registry, "read_checked", counted)
     assert find_model("high").name == "kpyr-5"
     assert opened == ["kpyr-5.onnx"]
 

@@ -328,6 +328,22 @@ def test_moving_frames_without_motion_use_no_history(denoiser):
             r"depth must have shape \(4, 5\) like color, got \(4, 5, 2\)",
         ),
         ({"color": np.ones((4, 5, 3)), "jitter": np.ones(3)}, "jitter must have shape"),
+        (
+            {"color": np.ones((4, 5, 3)), "samples": np.ones((5, 4))},
+            r"samples must have shape \(4, 5\) like color, got \(5, 4\)",
+        ),
+        *(
+            ({"color": np.ones((4, 5, 3)), "samples": bad}, f"samples must be .* got {text}")
+            for bad, text in [
+                (0, "0"),
+                (-2.5, "-2.5"),
+                (np.inf, "inf"),
+                (np.nan, "nan"),
+                ("16", "16"),
+                (np.full((4, 5), -1.0), "-1 at row 0, column 0"),
+                (np.where(np.eye(4, 5)[::-1] * np.arange(5) > 2, np.inf, 1), "inf at row 0"),
+            ]
+        ),
     ],
 )
 def test_a_wrong_buffer_is_named_with_its_rule_and_value(arguments, message):

@@ -1,5 +1,7 @@
 """Layers that add up to the beauty add up to the denoised beauty, frame after frame."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,15 @@ def test_layers_add_up_to_the_denoised_beauty(model, temporal):
             # rounding is relative to what went in: a firefly of 900 among values below 1
             np.testing.assert_allclose(added(layers), image, rtol=1e-5, atol=1e-5)
             assert all(np.isfinite(layer).all() for layer in layers.values())
+
+
+def test_layers_add_up_where_pixels_and_frames_differ_in_samples(rng):
+    with stillray.Denoiser("kpyr-5s") as denoiser:
+        for index, frame in enumerate(frames()):
+            samples = rng.integers(0, 5, (HEIGHT, WIDTH)) * (1 + index)
+            frame = dataclasses.replace(frame, samples=samples)
+            image, layers = denoiser.denoise_layers(frame, split(frame.color, index))
+            np.testing.assert_allclose(added(layers), image, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -160,6 +160,8 @@ def test_what_was_just_uncovered_has_no_past_but_thin_lines_keep_theirs(rng):
     disoccluded[8:12, 21:24] = 1  # wide where it meets the border
     expected[8:12, 21:24] = 0
     given = output.copy()
-    past = recall.forget_uncovered(given, given, SimpleNamespace(disoccluded=disoccluded, history_confidence=None))
+    past = recall.forget_uncovered(
+        given, given, SimpleNamespace(disoccluded=disoccluded, history_confidence=None)
+    )
     np.testing.assert_array_equal(past, expected)
     np.testing.assert_array_equal(given, output)  # which belongs to the history

@@ -32,6 +32,19 @@ def test_broken_pixels_are_filled_from_finite_neighbours(bad):
     assert not np.isfinite(color[4, 4, 1])  # the caller's array is untouched
 
 
+def test_pixels_without_samples_are_filled_whatever_they_show(rng):
+    color = np.full((9, 9, 3), 2.0, np.float32)
+    color[4, 4] = 7
+    samples = np.ones((9, 9))
+    samples[4, 4] = 0
+    buffers = Buffers.of(Frame(color=color, samples=samples))
+    assert buffers.in_range(slice(0, 4))
+    assert not buffers.in_range(slice(0, 9))
+    repaired = buffers.repaired()
+    np.testing.assert_allclose(repaired.color, 2.0, rtol=1e-6)
+    np.testing.assert_array_equal(repaired.broken, samples == 0)
+
+
 def test_a_large_hole_is_filled_to_its_middle():
     color = np.ones((64, 80, 3), np.float32)
     color[5:60, 6:70] = np.nan

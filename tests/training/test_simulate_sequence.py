@@ -335,6 +335,12 @@ def test_old_llvm_is_never_chosen(monkeypatch):
     assert variant.find_llvm() == "/usr/lib/libLLVM.so.19.1"
 
 
+def test_a_library_that_appears_while_a_process_runs_is_not_taken(mi, monkeypatch):
+    before = load_mitsuba()[1]
+    monkeypatch.setattr(variant, "find_llvm", lambda: "/usr/lib/libLLVM.so.99.1")
+    assert load_mitsuba()[1] == before
+
+
 @pytest.mark.parametrize(
     ("cuda", "library", "chosen"),
     [

@@ -20,7 +20,7 @@ import typer
 
 from stillray.batch.file_layout import Layout
 from stillray.batch.resume import Recipe
-from stillray.batch.run import run_steps
+from stillray.batch.run import Handling, run_steps
 from stillray.batch.shot import plan_shot, steps_to_run
 from stillray.cli import program
 from stillray.families.temporal_kernels import MEMORY_FRAMES
@@ -59,6 +59,7 @@ def benchmark(
     frames = [read_exr(job.source) for job in jobs]
     steps = steps_to_run(jobs, [False] * len(jobs), memory=MEMORY_FRAMES)
     recipe = Recipe(model=model, model_digest="benchmark")
+    how = Handling(layout=Layout(), recipe=recipe, memory=MEMORY_FRAMES)
     with Denoiser(model, threads=threads) as denoiser:
 
         def alone() -> None:
@@ -74,7 +75,7 @@ def benchmark(
                 write_exr(job.output, denoiser.denoise(frame), like=job.source)
 
         def overlapped() -> None:
-            run_steps(denoiser, steps, Layout(), recipe, lambda done: None, memory=MEMORY_FRAMES)
+            run_steps(denoiser, steps, how, lambda done: None)
 
         ways: dict[str, Callable[[], None]] = {
             "denoiser alone": alone,

@@ -51,5 +51,10 @@ def mean_frame(blocks: Sequence[tuple[Frame, float]]) -> Frame:
     depth = mean("depth") / np.maximum(hits, np.float32(1e-6))
     first = blocks[0][0]
     return replace(
-        first, color=mean("color"), albedo=mean("albedo"), normal=mean("normal"), depth=depth
+        first,
+        color=mean("color"),
+        albedo=mean("albedo"),
+        normal=mean("normal"),
+        depth=depth,
+        samples=total,
     )

@@ -9,13 +9,14 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from stillray.batch.chunks import Work, run_chunks, split
+from stillray.batch.chunks import ShotSettings, run_chunks, split
 from stillray.batch.file_layout import Layout
 from stillray.batch.resume import Recipe, file_digest
-from stillray.batch.run import Done, finished, remove_leftovers
-from stillray.batch.shot import Job, Step, first_run, make_folders, plan_shot, steps_to_run
+from stillray.batch.run import FrameReport, finished, remove_leftovers
+from stillray.batch.shot import RunStep, ShotFrame, first_run, make_folders, plan_shot, steps_to_run
 from stillray.errors import InputError
 from stillray.families.registry import family_of
+from stillray.frame import check_samples
 from stillray.io.channels.motion_detection import Detection
 from stillray.io.exr.read_write import expected_changes
 from stillray.models.registry import DEFAULT_MODEL, ModelInfo, find_model
@@ -35,6 +36,8 @@ class ShotOptions:
     layers
         Role to the layer, or channels, to take for it; and ``"view"`` to the view to denoise of
         files that hold several.
+    samples
+        Samples a pixel of the frames, above 0; None for what the files say.
     aovs
         Layers of light to filter as the color; empty for all that are known, None for none.
     only_color
@@ -66,6 +69,7 @@ class ShotOptions:
 
     companions: Mapping[str, str] = field(default_factory=dict)
     layers: Mapping[str, str] = field(default_factory=dict)
+    samples: float | None = None
     aovs: tuple[str, ...] | None = None
     only_color: bool = False
     frames: str | None = None
@@ -81,6 +85,8 @@ class ShotOptions:
     chunk: int | None = None
 
     def __post_init__(self) -> None:
+        if self.samples is not None:
+            check_samples(self.samples)
         if self.workers is not None and self.workers < 1:
             raise InputError(f"workers must be 1 or more, got {self.workers}")
         if self.workers is not None and self.scheduler is not None:
@@ -109,7 +115,7 @@ class Progress(Protocol):
     def wait(self, reason: str) -> None:
         """Nothing happens until somebody else does something."""
 
-    def frame(self, done: Done) -> None:
+    def frame(self, done: FrameReport) -> None:
         """One frame is done."""
 
 
@@ -132,7 +138,7 @@ class ShotResult:
     """
 
     model: str
-    frames: tuple[Done, ...]
+    frames: tuple[FrameReport, ...]
     already: int
     cancelled: bool
     seconds: float
@@ -144,7 +150,7 @@ def denoise_shot(
     *,
     model: str = DEFAULT_MODEL,
     options: ShotOptions | None = None,
-    progress: Progress | Callable[[Done], None] | None = None,
+    progress: Progress | Callable[[FrameReport], None] | None = None,
     cancel: Callable[[], bool] = lambda: False,
 ) -> ShotResult:
     """Denoise an EXR file or a sequence, from files to files.
@@ -203,12 +209,12 @@ class PlannedShot:
     """
 
     options: ShotOptions
-    jobs: list[Job]
-    steps: list[Step]
+    jobs: list[ShotFrame]
+    steps: list[RunStep]
     model: ModelInfo
     layout: Layout
     already: int
-    work: Work
+    work: ShotSettings
     started: float
 
     @property
@@ -216,7 +222,7 @@ class PlannedShot:
         """Frames that will be run, warm-up included."""
         return sum(map(len, self._chunks().values())) or len(self.steps)
 
-    def _chunks(self) -> dict[str, list[Job]]:
+    def _chunks(self) -> dict[str, list[ShotFrame]]:
         if not self.options.in_chunks:
             return {}
         size = CHUNK_FRAMES if self.options.chunk is None else self.options.chunk
@@ -232,10 +238,10 @@ class PlannedShot:
         if not self.layout.only_color:
             for line in expected_changes(self.jobs[0].source, self.layout.layers):
                 progress.note(line)
-        ran: list[Done] = []
+        ran: list[FrameReport] = []
         already, cancelled = self.already, False
 
-        def tell(frame: Done) -> None:
+        def tell(frame: FrameReport) -> None:
             ran.append(frame)
             progress.frame(frame)
 
@@ -298,6 +304,7 @@ def plan_run(
         aovs=options.aovs,
         only_color=options.only_color,
         temporal=temporal and "motion" not in options.companions,
+        samples=options.samples,
     )
     chosen = find_model(model)
     memory, cuts = _memory(chosen, options, len(jobs)), options.cuts and temporal
@@ -309,7 +316,7 @@ def plan_run(
     done = [False] * len(jobs)
     if options.resume and (look or not options.in_chunks):
         done = finished(jobs, recipe, memory=memory, layers=layers)
-    work = Work(
+    work = ShotSettings(
         model=str(chosen.path.absolute()) if model.endswith(".onnx") else chosen.name,
         recipe=recipe,
         layout=layout,
@@ -341,7 +348,7 @@ def _memory(model: ModelInfo, options: ShotOptions, frames: int) -> int:
     return frames if memory is None else memory
 
 
-def _told(progress: Progress | Callable[[Done], None] | None) -> Progress:
+def _told(progress: Progress | Callable[[FrameReport], None] | None) -> Progress:
     if isinstance(progress, Progress):
         return progress
     return _Calls(progress or (lambda done: None))
@@ -350,7 +357,7 @@ def _told(progress: Progress | Callable[[Done], None] | None) -> Progress:
 class _Calls:
     """Progress of which a function is told the frames."""
 
-    def __init__(self, function: Callable[[Done], None]) -> None:
+    def __init__(self, function: Callable[[FrameReport], None]) -> None:
         self._function = function
 
     def motion(self, detection: Detection) -> None:
@@ -362,5 +369,5 @@ class _Calls:
     def wait(self, reason: str) -> None:
         pass
 
-    def frame(self, done: Done) -> None:
+    def frame(self, done: FrameReport) -> None:
         self._function(done)

@@ -14,8 +14,8 @@ from stillray.batch.farm import run_tasks
 from stillray.batch.file_layout import Layout
 from stillray.batch.read_ahead import AHEAD
 from stillray.batch.resume import Recipe, file_digest
-from stillray.batch.run import Done, finished, remove_leftovers, run_steps
-from stillray.batch.shot import Job, Step, steps_to_run, window
+from stillray.batch.run import FrameReport, Handling, finished, remove_leftovers, run_steps
+from stillray.batch.shot import RunStep, ShotFrame, steps_to_run, window
 from stillray.errors import InputError
 from stillray.io.frame_range import format_frames
 from stillray.models.registry import ModelInfo, find_model
@@ -24,7 +24,7 @@ from stillray.version import __version__
 
 
 @dataclass(frozen=True, kw_only=True)
-class Work:
+class ShotSettings:
     """How the frames of a shot are denoised, on whatever machine.
 
     Attributes
@@ -56,7 +56,9 @@ class Work:
     threads: int | None = None
     max_memory: int | None = None
 
-    def run(self, model: ModelInfo, steps: Iterable[Step], report: Callable[[Done], None]) -> None:
+    def run(
+        self, model: ModelInfo, steps: Iterable[RunStep], report: Callable[[FrameReport], None]
+    ) -> None:
         """Denoise frames in order, here.
 
         Parameters
@@ -77,20 +79,18 @@ class Work:
         first = next(todo, None)
         if first is None:  # opens no model
             return
+        how = Handling(
+            layout=self.layout,
+            recipe=self.recipe,
+            memory=self.memory,
+            cuts=self.cuts,
+            # in little memory no more frames than needed are held at a time
+            ahead=AHEAD if self.max_memory is None else 1,
+        )
         with Denoiser(
             model, threads=self.threads, temporal=self.temporal, max_memory=self.max_memory
         ) as denoiser:
-            run_steps(
-                denoiser,
-                chain([first], todo),
-                self.layout,
-                self.recipe,
-                report,
-                memory=self.memory,
-                cuts=self.cuts,
-                # in little memory no more frames than needed are held at a time
-                ahead=AHEAD if self.max_memory is None else 1,
-            )
+            run_steps(denoiser, chain([first], todo), how, report)
 
     def find_model(self) -> ModelInfo:
         """The model on this machine.
@@ -124,12 +124,12 @@ class ChunkDone:
         Why the chunk ended early; None if it did not.
     """
 
-    done: list[Done]
+    done: list[FrameReport]
     already: int
     error: str | None = None
 
 
-def split(jobs: Sequence[Job], frames: int, *, memory: int) -> dict[str, list[Job]]:
+def split(jobs: Sequence[ShotFrame], frames: int, *, memory: int) -> dict[str, list[ShotFrame]]:
     """A shot in chunks, each of them a short shot of its own.
 
     Parameters
@@ -149,7 +149,7 @@ def split(jobs: Sequence[Job], frames: int, *, memory: int) -> dict[str, list[Jo
     if frames < 1:
         raise InputError(f"chunk must be 1 frame or more, got {frames}")
     written = [index for index, job in enumerate(jobs) if job.output is not None]
-    chunks: dict[str, list[Job]] = {}
+    chunks: dict[str, list[ShotFrame]] = {}
     for start in range(0, len(written), frames):
         own = written[start : start + frames]
         needed = sorted({i for index in own for i in window(jobs, index, memory)})
@@ -159,7 +159,7 @@ def split(jobs: Sequence[Job], frames: int, *, memory: int) -> dict[str, list[Jo
     return chunks
 
 
-def denoise_chunk(jobs: Sequence[Job], threads: int, *, work: Work) -> ChunkDone:
+def denoise_chunk(jobs: Sequence[ShotFrame], threads: int, *, work: ShotSettings) -> ChunkDone:
     """What a worker runs: the frames of a chunk that are not finished.
 
     Parameters
@@ -175,7 +175,7 @@ def denoise_chunk(jobs: Sequence[Job], threads: int, *, work: Work) -> ChunkDone
     if work.threads is None:
         work = replace(work, threads=threads)
     kept = finished(jobs, work.recipe, memory=work.memory, layers=work.layout.layers)
-    ran: list[Done] = []
+    ran: list[FrameReport] = []
     error: str | None = None
     try:
         work.run(model, steps_to_run(jobs, kept, memory=work.memory), ran.append)
@@ -185,9 +185,9 @@ def denoise_chunk(jobs: Sequence[Job], threads: int, *, work: Work) -> ChunkDone
 
 
 def run_chunks(
-    chunks: dict[str, list[Job]],
-    work: Work,
-    report: Callable[[Done], None],
+    chunks: dict[str, list[ShotFrame]],
+    work: ShotSettings,
+    report: Callable[[FrameReport], None],
     *,
     workers: int | None = 2,
     scheduler: str | None = None,
@@ -260,7 +260,7 @@ class _Cancelled(Exception):  # noqa: N818  no error
     pass
 
 
-def _absolute(job: Job, *, writes: bool) -> Job:
+def _absolute(job: ShotFrame, *, writes: bool) -> ShotFrame:
     def absolute(path: Path) -> Path:
         return path.absolute()
 

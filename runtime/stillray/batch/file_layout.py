@@ -28,12 +28,15 @@ class Layout:
         Whether nothing but the picture is written.
     detection
         What the motion was proven to mean; None where that is known.
+    samples
+        Samples a pixel, whatever the files say; None for what they say.
     """
 
     layers: Mapping[str, str] = field(default_factory=dict)
     aovs: tuple[str, ...] | None = None
     only_color: bool = False
     detection: Detection | None = None
+    samples: float | None = None
 
     @classmethod
     def of(
@@ -44,6 +47,7 @@ class Layout:
         aovs: tuple[str, ...] | None = None,
         only_color: bool = False,
         temporal: bool = True,
+        samples: float | None = None,
     ) -> Layout:
         """The layout of consecutive frames; without ``temporal`` no motion is looked at.
 
@@ -53,9 +57,15 @@ class Layout:
             A file that is looked at cannot be read.
         """
         detection = detect_in_sequence(paths, layers=layers) if temporal else None
-        return cls(layers=layers or {}, aovs=aovs, only_color=only_color, detection=detection)
+        return cls(
+            layers=layers or {},
+            aovs=aovs,
+            only_color=only_color,
+            detection=detection,
+            samples=samples,
+        )
 
-    def options(self) -> dict[str, str | bool | None]:
+    def options(self) -> dict[str, str | float | bool | None]:
         """What of it changes the files that are written, by name."""
         convention = None if self.detection is None else self.detection.convention
         return {
@@ -63,6 +73,7 @@ class Layout:
             "aovs": None if self.aovs is None else ",".join(self.aovs),
             "only_color": self.only_color,
             "motion": None if self.detection is None else str(convention),
+            "samples": self.samples,
         }
 
     def read(
@@ -79,7 +90,12 @@ class Layout:
         """
         convention = self.detection.convention if self.detection else None
         frame = read_exr(
-            path, **companions, layers=self.layers, convention=convention, before=before
+            path,
+            **companions,
+            layers=self.layers,
+            convention=convention,
+            before=before,
+            samples=self.samples,
         )
         lights = {} if self.aovs is None else read_lights(path, self.aovs, layers=self.layers)
         return frame, lights

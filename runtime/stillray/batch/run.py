@@ -17,14 +17,14 @@ from stillray.batch.file_layout import Layout
 from stillray.batch.read_ahead import AHEAD, run_overlapped
 from stillray.batch.resume import Recipe, file_digest, is_finished
 from stillray.batch.scene_cuts import Agreement, CutDetector
-from stillray.batch.shot import Job, Step, window
+from stillray.batch.shot import RunStep, ShotFrame, window
 from stillray.frame import Frame
 from stillray.io.channels.roles import holds_irradiance
 from stillray.pipeline.denoiser import Denoiser
 
 
 @dataclass(frozen=True, kw_only=True)
-class Done:
+class FrameReport:
     """What came of one step.
 
     Attributes
@@ -39,7 +39,7 @@ class Done:
         Milliseconds; the three overlap those of other frames.
     """
 
-    step: Step
+    step: RunStep
     cut: Agreement | None
     clamped: int
     read_ms: float
@@ -65,7 +65,7 @@ class _Denoised(NamedTuple):
 
 
 def finished(
-    jobs: Sequence[Job],
+    jobs: Sequence[ShotFrame],
     recipe: Recipe,
     *,
     memory: int,
@@ -96,7 +96,7 @@ def finished(
         return list(pool.map(check, range(len(jobs))))
 
 
-def remove_leftovers(jobs: Sequence[Job]) -> None:
+def remove_leftovers(jobs: Sequence[ShotFrame]) -> None:
     """Delete what runs that were killed have left of the outputs of these frames.
 
     Another run that writes the same frames at this moment would fail for it.
@@ -111,16 +111,36 @@ def remove_leftovers(jobs: Sequence[Job]) -> None:
                     path.unlink()
 
 
+@dataclass(frozen=True, kw_only=True)
+class Handling:
+    """How the frames of a shot are read, told apart and written.
+
+    Attributes
+    ----------
+    layout
+        What is taken from the files and put back.
+    recipe
+        What goes into the files' provenance.
+    memory
+        Frames that a history goes back, of which the provenance tells.
+    cuts
+        Whether cuts are looked for.
+    ahead
+        Frames read ahead and written behind, see `stillray.batch.read_ahead.run_overlapped`.
+    """
+
+    layout: Layout
+    recipe: Recipe
+    memory: int
+    cuts: bool = True
+    ahead: int = AHEAD
+
+
 def run_steps(
     denoiser: Denoiser,
-    steps: Iterable[Step],
-    layout: Layout,
-    recipe: Recipe,
-    report: Callable[[Done], None],
-    *,
-    memory: int,
-    cuts: bool = True,
-    ahead: int = AHEAD,
+    steps: Iterable[RunStep],
+    how: Handling,
+    report: Callable[[FrameReport], None],
 ) -> None:
     """Denoise frames in order.
 
@@ -130,66 +150,67 @@ def run_steps(
         Its history is dropped where a step says so, and at cuts.
     steps
         From `stillray.batch.shot.steps_to_run`.
-    layout
-        What is taken from the files and put back.
-    recipe
-        What goes into the files' provenance.
+    how
+        How they are read and written.
     report
         Called as each frame is done, in order.
-    memory
-        Frames that a history goes back, of which the provenance tells.
-    cuts
-        Whether cuts are looked for.
-    ahead
-        Frames read ahead and written behind, see `stillray.batch.read_ahead.run_overlapped`.
 
     Raises
     ------
     InputError
         A frame cannot be read or written. Those before it are complete.
     """
-    detector = CutDetector(denoiser.model.spec) if cuts else None
-    inputs: deque[dict[str, str]] = deque(maxlen=memory + 1)
-    before: Path | None = None  # the reader's alone
+    run = _Run(denoiser, how)
+    run_overlapped(
+        steps, run.read, run.work, run.write, lambda _, done: report(done), ahead=how.ahead
+    )
 
-    def read(step: Step) -> _Read:
-        nonlocal before
-        start = time.perf_counter()
-        job = step.job
+
+class _Run:
+    """The three things that happen to a frame, each in a thread of its own."""
+
+    def __init__(self, denoiser: Denoiser, how: Handling) -> None:
+        self._denoiser, self._how = denoiser, how
+        # the reader's alone
+        self._detector = CutDetector(denoiser.model.spec) if how.cuts else None
+        self._inputs: deque[dict[str, str]] = deque(maxlen=how.memory + 1)
+        self._before: Path | None = None
+
+    def read(self, step: RunStep) -> _Read:
+        start, job, how = time.perf_counter(), step.job, self._how
         if step.starts_anew:
-            inputs.clear()
-            before = None
-        inputs.append(_input_digests(job))
-        frame, lights = layout.read(job.source, job.companions, before)
-        before = job.source
-        cut = _cut(detector, frame, step)
-        return _Read(frame, lights, cut, recipe.digest(list(inputs)), _since(start))
+            self._inputs.clear()
+            self._before = None
+        self._inputs.append(_input_digests(job))
+        frame, lights = how.layout.read(job.source, job.companions, self._before)
+        self._before = job.source
+        cut = _cut(self._detector, frame, step)
+        digest = how.recipe.digest(list(self._inputs))
+        return _Read(frame, lights, cut, digest, _since(start))
 
-    def work(step: Step, read: _Read) -> _Denoised:
+    def work(self, step: RunStep, read: _Read) -> _Denoised:
         if step.starts_anew or read.cut is not None:
-            denoiser.reset()
-        start = time.perf_counter()
-        lights = read.lights
+            self._denoiser.reset()
+        start, lights = time.perf_counter(), read.lights
         if lights:
             bare = [name for name in lights if holds_irradiance(name)]
-            picture, lights = denoiser.denoise_layers(read.frame, lights, irradiance=bare)
+            picture, lights = self._denoiser.denoise_layers(read.frame, lights, irradiance=bare)
         else:
-            picture = denoiser.denoise(read.frame)
+            picture = self._denoiser.denoise(read.frame)
         return _Denoised(picture, lights, read.cut, read.digest, read.milliseconds, _since(start))
 
-    def write(step: Step, denoised: _Denoised) -> Done:
-        start = time.perf_counter()
-        clamped = 0
+    def write(self, step: RunStep, denoised: _Denoised) -> FrameReport:
+        start, clamped = time.perf_counter(), 0
         if step.writes:
             assert step.job.output is not None
-            clamped = layout.write(
+            clamped = self._how.layout.write(
                 step.job.output,
                 denoised.picture,
                 denoised.lights,
                 like=step.job.source,
-                attributes=recipe.attributes(denoised.digest, denoised.picture),
+                attributes=self._how.recipe.attributes(denoised.digest, denoised.picture),
             )
-        return Done(
+        return FrameReport(
             step=step,
             cut=denoised.cut,
             clamped=clamped,
@@ -198,14 +219,12 @@ def run_steps(
             write_ms=_since(start),
         )
 
-    run_overlapped(steps, read, work, write, lambda _, done: report(done), ahead=ahead)
 
-
-def _input_digests(job: Job) -> dict[str, str]:
+def _input_digests(job: ShotFrame) -> dict[str, str]:
     return {role: file_digest(path) for role, path in job.inputs.items()}
 
 
-def _cut(detector: CutDetector | None, frame: Frame, step: Step) -> Agreement | None:
+def _cut(detector: CutDetector | None, frame: Frame, step: RunStep) -> Agreement | None:
     if detector is None:
         return None
     if step.starts_anew:

@@ -22,7 +22,7 @@ from stillray.io.frame_range import parse_frames
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job:
+class ShotFrame:
     """One frame of a shot.
 
     Attributes
@@ -49,7 +49,7 @@ class Job:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
+class RunStep:
     """One run of the denoiser.
 
     Attributes
@@ -63,7 +63,7 @@ class Step:
         its motion points into that frame.
     """
 
-    job: Job
+    job: ShotFrame
     writes: bool
     starts_anew: bool
 
@@ -77,7 +77,7 @@ def plan_shot(
     on_missing: str = "error",
     warm_up: int = 0,
     layers: Mapping[str, str] | None = None,
-) -> list[Job]:
+) -> list[ShotFrame]:
     """The frames of a shot in order; everything but the pixels is checked.
 
     Parameters
@@ -124,7 +124,7 @@ def plan_shot(
         if path.suffix.lower() != ".exr":
             raise InputError(f"output must be an .exr file, got {path}")
     jobs = [
-        Job(
+        ShotFrame(
             number=file.number,
             source=file.path,
             companions={role: paths[i] for role, paths in features.items()},
@@ -142,7 +142,7 @@ def plan_shot(
     return jobs
 
 
-def make_folders(jobs: Sequence[Job]) -> None:
+def make_folders(jobs: Sequence[ShotFrame]) -> None:
     """Make the folders of the outputs that are not there yet.
 
     Raises
@@ -157,7 +157,7 @@ def make_folders(jobs: Sequence[Job]) -> None:
             raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
 
 
-def steps_to_run(jobs: Sequence[Job], done: Sequence[bool], *, memory: int) -> list[Step]:
+def steps_to_run(jobs: Sequence[ShotFrame], done: Sequence[bool], *, memory: int) -> list[RunStep]:
     """The frames that are not done, each with the frames before it that its history needs.
 
     Parameters
@@ -174,7 +174,7 @@ def steps_to_run(jobs: Sequence[Job], done: Sequence[bool], *, memory: int) -> l
         if job.output is not None and not done[index]:
             needed.update(window(jobs, index, memory))
     return [
-        Step(
+        RunStep(
             job=jobs[i],
             writes=jobs[i].output is not None and not done[i],
             starts_anew=i - 1 not in needed or not follows(jobs, i),
@@ -183,7 +183,7 @@ def steps_to_run(jobs: Sequence[Job], done: Sequence[bool], *, memory: int) -> l
     ]
 
 
-def first_run(jobs: Sequence[Job]) -> list[Path]:
+def first_run(jobs: Sequence[ShotFrame]) -> list[Path]:
     """Files of the first frames that follow each other; of the first frame if none do."""
     last = next((i for i in range(1, len(jobs)) if follows(jobs, i)), 1)
     start = last - 1
@@ -192,7 +192,7 @@ def first_run(jobs: Sequence[Job]) -> list[Path]:
     return [job.source for job in jobs[start:last]]
 
 
-def window(jobs: Sequence[Job], index: int, memory: int) -> range:
+def window(jobs: Sequence[ShotFrame], index: int, memory: int) -> range:
     """The frames that make a frame: itself, and up to ``memory`` before it without a gap."""
     first = index
     while index - first < memory and follows(jobs, first):
@@ -200,7 +200,7 @@ def window(jobs: Sequence[Job], index: int, memory: int) -> range:
     return range(first, index + 1)
 
 
-def follows(jobs: Sequence[Job], index: int) -> bool:
+def follows(jobs: Sequence[ShotFrame], index: int) -> bool:
     """Whether a job's frame is the next in time after the one before it in the list."""
     if index == 0:
         return False

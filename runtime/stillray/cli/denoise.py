@@ -72,6 +72,10 @@ def denoise(
             "are kept as they are."
         ),
     ] = None,
+    samples: Annotated[
+        float | None,
+        typer.Option(help="Samples a pixel of the input, whatever the files say of it."),
+    ] = None,
     aovs: Annotated[
         str | None,
         typer.Option(
@@ -186,6 +190,7 @@ def denoise(
     options = ShotOptions(
         companions={role: pattern for role, pattern in companions.items() if pattern is not None},
         layers=parse_overrides(layer or []) | ({} if view is None else {VIEW: view}),
+        samples=samples,
         aovs=None if aovs is None else () if aovs == "all" else tuple(aovs.split(",")),
         only_color=only_color,
         frames=frames,

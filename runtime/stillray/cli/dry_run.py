@@ -10,13 +10,18 @@ from stillray.cli.reports import frames
 
 if TYPE_CHECKING:
     from stillray.batch.file_layout import Layout
-    from stillray.batch.shot import Job, Step
+    from stillray.batch.shot import RunStep, ShotFrame
     from stillray.model_spec.loader import ModelSpec
     from stillray.stages.plan import Stage
 
 
 def collect(
-    jobs: Sequence[Job], steps: Sequence[Step], layout: Layout, spec: ModelSpec, *, temporal: bool
+    jobs: Sequence[ShotFrame],
+    steps: Sequence[RunStep],
+    layout: Layout,
+    spec: ModelSpec,
+    *,
+    temporal: bool,
 ) -> dict[str, Any]:
     """What a run would do; reads the first two frames that it would run, at most.
 
@@ -87,7 +92,7 @@ def show(facts: dict[str, Any], *, as_json: bool) -> None:
     out.print(f"\n{frames(count)} would be written; nothing has been")
 
 
-def _frame(job: Job, step: Step | None) -> dict[str, Any]:
+def _frame(job: ShotFrame, step: RunStep | None) -> dict[str, Any]:
     if step is None:
         action = "not needed" if job.output is None else "done already"
     else:
@@ -104,7 +109,7 @@ def _frame(job: Job, step: Step | None) -> dict[str, Any]:
     }
 
 
-def _layers(job: Job, layout: Layout) -> dict[str, Any]:
+def _layers(job: ShotFrame, layout: Layout) -> dict[str, Any]:
     from stillray.io.channels.roles import find_alone, find_layers
     from stillray.io.exr.read_write import ExrFile
 

@@ -16,9 +16,11 @@ if TYPE_CHECKING:
 
     import numpy as np
 
+    from stillray.frame import Frame
     from stillray.io.channels.motion_detection import Detection
     from stillray.io.channels.roles import LayerMatch
     from stillray.io.exr.read_write import ExrFile
+    from stillray.io.exr.samples import SampleSource
 
 
 def info(
@@ -91,6 +93,7 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
     from stillray.io.channels.motion_detection import detect_in_sequence
     from stillray.io.channels.roles import find_layers
     from stillray.io.exr.read_write import ExrFile, read_exr, require_color
+    from stillray.io.exr.samples import find_samples
     from stillray.pipeline.denoiser import Denoiser
 
     path = paths[0]
@@ -122,6 +125,7 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
             }
             for match in matches
         ],
+        "samples": _samples(frame, find_samples(opened, matches, chosen)),
         "color_pixels": _count_pixels(frame.color),
         "warnings": _warnings(frame.normal),
         "model": model_name,
@@ -137,6 +141,30 @@ def _with_proof(match: LayerMatch, detection: Detection) -> LayerMatch:
     if detection.convention is None:
         return replace(match, note=f"not proven, not used: {detection.reason}")
     return replace(match.proven(detection.convention), note=f"proven: {detection.reason}")
+
+
+def _samples(frame: Frame, source: SampleSource) -> dict[str, Any]:
+    import numpy as np
+
+    facts: dict[str, Any] = {"from": source.name or None, "note": source.note}
+    if frame.samples is None:
+        return {"least": None, "mean": None, "most": None, **facts}
+    sampled = np.asarray(frame.samples)
+    sampled = sampled[~np.isnan(sampled)]
+    if not sampled.size:
+        return {"least": None, "mean": None, "most": None, **facts}
+    least, mean, most = (float(value) for value in (sampled.min(), sampled.mean(), sampled.max()))
+    return {"least": least, "mean": mean, "most": most, **facts}
+
+
+def _say_samples(samples: dict[str, Any]) -> str:
+    note = f" ({samples['note']})" if samples["note"] else ""
+    if samples["mean"] is None:
+        return f"samples: not known{note}"
+    count = f"{samples['most']:g} a pixel"
+    if samples["least"] < samples["most"]:
+        count = f"{samples['least']:g} to {count}, {samples['mean']:.4g} in the mean"
+    return f"samples: {count}, from {samples['from']}{note}"
 
 
 def _count_pixels(color: np.ndarray) -> dict[str, int]:
@@ -183,6 +211,7 @@ def _print_facts(facts: dict[str, Any]) -> None:
         out.print(f"{name.replace('_', ' ')}: {width} x {height} at ({x}, {y})")
     counts = ", ".join(f"{pixels[kind]} {kind}" for kind in ("nan", "infinite", "negative"))
     out.print(f"color pixels: {counts}, of {pixels['total']}")
+    out.print(_say_samples(facts["samples"]))
     for warning in facts["warnings"]:
         out.print(f"warning: {warning}")
     out.print()

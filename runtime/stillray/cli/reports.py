@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from stillray.batch.api import ShotResult
-    from stillray.batch.run import Done
+    from stillray.batch.run import FrameReport
     from stillray.io.channels.motion_detection import Detection
 
 
@@ -27,7 +27,7 @@ class Report(Protocol):
     def wait(self, reason: str) -> None:
         """Nothing happens until somebody else does something."""
 
-    def frame(self, done: Done) -> None:
+    def frame(self, done: FrameReport) -> None:
         """One frame is done."""
 
     def end(self, summary: dict[str, Any]) -> None:
@@ -74,7 +74,7 @@ class _Quiet:
     def wait(self, reason: str) -> None:
         pass
 
-    def frame(self, done: Done) -> None:
+    def frame(self, done: FrameReport) -> None:
         pass
 
     def end(self, summary: dict[str, Any]) -> None:
@@ -100,7 +100,7 @@ class _Json:
     def wait(self, reason: str) -> None:
         print(json.dumps({"event": "wait", "reason": reason}), flush=True)
 
-    def frame(self, done: Done) -> None:
+    def frame(self, done: FrameReport) -> None:
         job = done.step.job
         facts = {
             "event": "frame",
@@ -134,7 +134,7 @@ class _Lines:
     def wait(self, reason: str) -> None:
         print(reason, flush=True)
 
-    def frame(self, done: Done) -> None:
+    def frame(self, done: FrameReport) -> None:
         print(_line(done, first=self._first, verbose=self._verbose), flush=True)
         self._first = False
 
@@ -156,7 +156,7 @@ class _Bar:
     def wait(self, reason: str) -> None:
         self._progress.console.print(reason, markup=False)
 
-    def frame(self, done: Done) -> None:
+    def frame(self, done: FrameReport) -> None:
         name = done.step.job.source.name
         self._progress.update(
             self._task, advance=1, description=name, last=f"{done.denoise_ms:.0f} ms"
@@ -193,7 +193,7 @@ def _bar(total: int) -> Iterator[_Bar]:
         yield _Bar(progress, progress.add_task("denoising", total=total, last=""))
 
 
-def _line(done: Done, *, first: bool, verbose: bool) -> str:
+def _line(done: FrameReport, *, first: bool, verbose: bool) -> str:
     step = done.step
     target = str(step.job.output) if step.writes else "(warm-up, not written)"
     line = f"{step.job.source} -> {target}  {done.denoise_ms:.1f} ms"
@@ -207,7 +207,7 @@ def _line(done: Done, *, first: bool, verbose: bool) -> str:
     return f"{line}  history starts anew" if step.starts_anew and not first else line
 
 
-def _clamped(done: Done) -> str:
+def _clamped(done: FrameReport) -> str:
     return f"{done.clamped} values beyond the half range, clamped to 65504"
 
 

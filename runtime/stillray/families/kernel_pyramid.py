@@ -11,6 +11,7 @@ light is invented.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -118,21 +119,12 @@ def filter_pyramid(
 def _filtered(
     light: Filterable, logits: Sequence[np.ndarray], options: PyramidKernels, strips: Strips
 ) -> np.ndarray:
-    mean, sample, divisor, previous = light.mean, light.sample, light.modulator, light.previous
-    height, width = mean.shape[:2]
+    height, width = light.mean.shape[:2]
     levels = len(logits)
     maps: list[np.ndarray | Blocks] = list(logits)
     if levels > 1 and logits[0].shape[1:] == logits[1].shape[1:]:
         maps[0] = Blocks(logits[0], strips)
-    full = (*maps[0].shape[1:], 4)
-    bottom, right = full[0] - mean.shape[0], full[1] - mean.shape[1]
-    if bottom or right:
-        mean = _extended(mean, bottom, right, strips.scratch.array("extended", full))
-        if sample is not None:
-            planes = strips.scratch.array("extended sample", (4, *full[:2]))
-            for plane, target in zip(sample, planes, strict=True):
-                _extended(plane, bottom, right, target)
-            sample = planes
+    mean, sample = _whole_blocks(light, maps[0].shape[1:], strips)
     finest = level_layout(0, levels, options)
     pyramid = [_renewed(mean, sample, maps[0], finest.renew, options, strips)]
     for level in range(levels - 1):
@@ -148,38 +140,29 @@ def _filtered(
         layout = level_layout(level, levels, options)
         padded = (3, *(size + 2 for size in pyramid[level].shape[1:]))
         blended = strips.scratch.array(f"blended {level}", padded)
-        _blended(pyramid[level], coarser, maps[level], layout, options, strips, blended)
+        _Level(pyramid[level], coarser, maps[level], layout, options).blended(strips, blended)
         coarser = Doubled(blended, logits[level][layout.double], options)
     image = np.empty((height, width, 3), np.float32)
-
-    def finish(rows: slice) -> None:
-        # the resolve looks one pixel around; at the border of the frame that is repeated
-        around, inner = with_halo(rows, 1, height)
-        count = rows.stop - rows.start
-        padded = strips.scratch.array("padded", (3, count + 2, mean.shape[1] + 2))
-        top = 1 - inner.start
-        filled = slice(top, top + around.stop - around.start)
-        _blend(
-            around,
-            pyramid[0],
-            coarser,
-            maps[0],
-            finest,
-            options,
-            padded[:, filled, 1:-1],
-            strips.scratch,
-        )
-        if divisor is not None:
-            by = strips.scratch.array("by", (3, around.stop - around.start, width))
-            padded[:, filled, 1 : 1 + width] *= planes_of(divisor[around], out=by)
-        padded = padded[:, :, : width + 2]
-        _repeat_border(padded, top=rows.start == 0, bottom=rows.stop == height)
-        past = None if previous is None else previous[rows]
-        resolve = maps[0][finest.resolve, rows][..., :width]
-        _resolve(padded, resolve, past, options, image[rows], strips.scratch)
-
-    strips.run(finish, height, width)
+    top = _Level(pyramid[0], coarser, maps[0], finest, options)
+    strips.run(lambda rows: top.resolve(rows, light, image[rows], strips.scratch), height, width)
     return image
+
+
+def _whole_blocks(
+    light: Filterable, size: tuple[int, ...], strips: Strips
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Mean and sample of a size that the levels divide: the last row and column are repeated."""
+    mean, sample = light.mean, light.sample
+    bottom, right = size[0] - mean.shape[0], size[1] - mean.shape[1]
+    if not bottom and not right:
+        return mean, sample
+    mean = _extended(mean, bottom, right, strips.scratch.array("extended", (*size, 4)))
+    if sample is not None:
+        planes = strips.scratch.array("extended sample", (4, *size))
+        for plane, target in zip(sample, planes, strict=True):
+            _extended(plane, bottom, right, target)
+        sample = planes
+    return mean, sample
 
 
 def _extended(image: np.ndarray, bottom: int, right: int, out: np.ndarray) -> np.ndarray:
@@ -256,42 +239,12 @@ def _pool(
     strips.run(work, height, width)
 
 
-def _blended(
-    planes: np.ndarray,
-    coarser: Doubled | None,
-    logits: np.ndarray | Blocks,
-    layout: LevelLayout,
-    options: PyramidKernels,
-    strips: Strips,
-    result: np.ndarray,
-) -> None:
-    """A whole level with its border repeated, ``(3, h + 2, w + 2)``."""
-    height, width = planes.shape[1:]
-    inner = result[:, 1:-1, 1:-1]
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """A level and what it is blended of.
 
-    def work(rows: slice) -> None:
-        _blend(rows, planes, coarser, logits, layout, options, inner[:, rows], strips.scratch)
-
-    strips.run(work, height, width)
-    _repeat_border(result, top=True, bottom=True)
-
-
-def _blend(
-    rows: slice,
-    planes: np.ndarray,
-    coarser: Doubled | None,
-    logits: np.ndarray | Blocks,
-    layout: LevelLayout,
-    options: PyramidKernels,
-    out: np.ndarray,
-    scratch: Scratch,
-) -> None:
-    """Rows of a level: itself, its kernels and the coarser level, by their shares.
-
-    Parameters
+    Attributes
     ----------
-    rows
-        Which rows of the level.
     planes : (4, h, w) float32
         Light and samples of the whole level.
     coarser
@@ -299,53 +252,86 @@ def _blend(
     logits : (planes, h, w) float32
     layout, options
         Of the logits.
-    out : (3, rows, w) float32
-        Written.
-    scratch
-        Where temporaries lie.
     """
-    height, width = planes.shape[1:]
-    shape = (rows.stop - rows.start, width)
-    maps = logits[layout.blend, rows]
-    shares = scratch.array("shares", maps.shape)
-    for logit, share in zip(maps, shares, strict=True):
-        bounded_exp(logit, options.logit_bound, share)
-    others = list(shares)
-    if coarser is None:  # itself at logit 0, then the kernels
-        light = scratch.array("light", (3, *shape))
-        np.copyto(light, planes[:3, rows])
-    else:  # the coarser level at logit 0, then itself, then the kernels
-        light = coarser.rows(rows, scratch)
-        own = others.pop(0)
-        # A sample that is worth less than one counts as little for its own pixel. A lone firefly
-        # of a first frame lifted one of kpyr-5s 7.4 times, and now does 2.2 times.
-        own *= np.minimum(planes[3, rows], 1, out=scratch.array("worth", shape))
-        for plane, sums in zip(planes, light, strict=False):
-            cv2.accumulateProduct(plane[rows], own, sums)
-    normal = scratch.array("normal", shape)
-    np.add(shares[0], 1, out=normal)
-    for share in shares[1:]:
-        normal += share
-    # none where the finest level has no kernels
-    for index, (size, share) in enumerate(zip(options.kernel_sizes, others, strict=False)):
-        near, inner = with_halo(rows, size // 2, height)
-        strip = (near.stop - near.start, width)
-        weight, product, box = (scratch.array(name, strip) for name in ("weight", "product", "box"))
-        importance = slice(index, index + 1)
-        bounded_exp(logits[importance, near][0], options.logit_bound, weight)
-        weight *= planes[3, near]
-        share /= box_means(weight, size, box)[inner]
-        for plane, sums in zip(planes, light, strict=False):
-            np.multiply(weight, plane[near], out=product)
-            cv2.accumulateProduct(box_means(product, size, box)[inner], share, sums)
-    if layout.around.stop > layout.around.start:
-        maps = logits[layout.around, rows]
-        weights = scratch.array("weights", maps.shape)
-        for logit, weight in zip(maps, weights, strict=True):
-            bounded_exp(logit, options.logit_bound, weight)
-            normal += weight
-        _add_neighbours(_padded(planes[:3], rows, scratch), weights, light)
-    np.multiply(light, np.reciprocal(normal, out=normal), out=out)
+
+    planes: np.ndarray
+    coarser: Doubled | None
+    logits: np.ndarray | Blocks
+    layout: LevelLayout
+    options: PyramidKernels
+
+    def blended(self, strips: Strips, result: np.ndarray) -> None:
+        """The whole level with its border repeated, into ``(3, h + 2, w + 2)``."""
+        height, width = self.planes.shape[1:]
+        inner = result[:, 1:-1, 1:-1]
+        strips.run(lambda rows: self.blend(rows, inner[:, rows], strips.scratch), height, width)
+        _repeat_border(result, top=True, bottom=True)
+
+    def resolve(self, rows: slice, light: Filterable, out: np.ndarray, scratch: Scratch) -> None:
+        """Rows of the picture, ``(rows, w, 3)``: blended, remodulated and resolved."""
+        height, width = light.mean.shape[:2]
+        # the resolve looks one pixel around; at the border of the frame that is repeated
+        around, inner = with_halo(rows, 1, height)
+        shape = (3, rows.stop - rows.start + 2, self.planes.shape[2] + 2)
+        padded = scratch.array("padded", shape)
+        top = 1 - inner.start
+        filled = slice(top, top + around.stop - around.start)
+        self.blend(around, padded[:, filled, 1:-1], scratch)
+        if light.modulator is not None:
+            by = scratch.array("by", (3, around.stop - around.start, width))
+            padded[:, filled, 1 : 1 + width] *= planes_of(light.modulator[around], out=by)
+        padded = padded[:, :, : width + 2]
+        _repeat_border(padded, top=rows.start == 0, bottom=rows.stop == height)
+        past = None if light.previous is None else light.previous[rows]
+        logits = self.logits[self.layout.resolve, rows][..., :width]
+        _resolve(padded, logits, past, self.options, out, scratch)
+
+    def blend(self, rows: slice, out: np.ndarray, scratch: Scratch) -> None:
+        """Rows of the level, ``(3, rows, w)``: itself, its kernels and the coarser level."""
+        height, width = self.planes.shape[1:]
+        shape = (rows.stop - rows.start, width)
+        maps = self.logits[self.layout.blend, rows]
+        shares = scratch.array("shares", maps.shape)
+        for logit, share in zip(maps, shares, strict=True):
+            bounded_exp(logit, self.options.logit_bound, share)
+        others = list(shares)
+        if self.coarser is None:  # itself at logit 0, then the kernels
+            light = scratch.array("light", (3, *shape))
+            np.copyto(light, self.planes[:3, rows])
+        else:  # the coarser level at logit 0, then itself, then the kernels
+            light = self.coarser.rows(rows, scratch)
+            own = others.pop(0)
+            # a sample that weighs less than one counts as little for its own pixel, see
+            # docs/decisions.md: else a lone firefly of a first frame would lift it
+            own *= np.minimum(self.planes[3, rows], 1, out=scratch.array("worth", shape))
+            for plane, sums in zip(self.planes, light, strict=False):
+                cv2.accumulateProduct(plane[rows], own, sums)
+        normal = scratch.array("normal", shape)
+        np.add(shares[0], 1, out=normal)
+        for share in shares[1:]:
+            normal += share
+        # none where the finest level has no kernels
+        for index, (size, share) in enumerate(zip(self.options.kernel_sizes, others, strict=False)):
+            near, inner = with_halo(rows, size // 2, height)
+            strip = (near.stop - near.start, width)
+            weight, product, box = (
+                scratch.array(name, strip) for name in ("weight", "product", "box")
+            )
+            importance = slice(index, index + 1)
+            bounded_exp(self.logits[importance, near][0], self.options.logit_bound, weight)
+            weight *= self.planes[3, near]
+            share /= box_means(weight, size, box)[inner]
+            for plane, sums in zip(self.planes, light, strict=False):
+                np.multiply(weight, plane[near], out=product)
+                cv2.accumulateProduct(box_means(product, size, box)[inner], share, sums)
+        if self.layout.around.stop > self.layout.around.start:
+            maps = self.logits[self.layout.around, rows]
+            weights = scratch.array("weights", maps.shape)
+            for logit, weight in zip(maps, weights, strict=True):
+                bounded_exp(logit, self.options.logit_bound, weight)
+                normal += weight
+            _add_neighbours(_padded(self.planes[:3], rows, scratch), weights, light)
+        np.multiply(light, np.reciprocal(normal, out=normal), out=out)
 
 
 def _padded(planes: np.ndarray, rows: slice, scratch: Scratch) -> np.ndarray:

@@ -188,7 +188,10 @@ class FilteredLayers:
                 planes = planes_of(warped, out=scratch.array("mean", (4, *warped.shape[:2])))
                 if prepared.history_confidence is not None:
                     planes[3] *= prepared.history_confidence[rows]
-                acc.accumulate(light[:, rows], weight[rows], planes, options, scratch)
+                prepared.counts.held_by_pixel(planes[3], rows)
+                own = prepared.counts.weight_by_pixel(weight[rows], rows)
+                acc.accumulate(light[:, rows], own, planes, options, scratch)
+                prepared.counts.by_frame(planes[3], rows)
                 interleave(planes, out=result[rows])
 
             strips.run(work, *mean.shape[:2])

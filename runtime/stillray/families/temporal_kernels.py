@@ -256,6 +256,7 @@ class TemporalKernels(ABC):
                 normal=None if normal is None else normal[rows],
                 depth=None if depth is None else depth[rows],
                 depth_unit=prepared.depth_unit,
+                frame_samples=prepared.counts.told,
                 out=target,
                 scratch=scratch,
             )

@@ -269,6 +269,7 @@ def denoise(
     normal: np.ndarray | None = None,
     *,
     depth: np.ndarray | None = None,
+    samples: float | np.ndarray | None = None,
     model: str | os.PathLike[str] | ModelInfo = DEFAULT_MODEL,
     threads: int | None = None,
 ) -> np.ndarray:
@@ -282,6 +283,8 @@ def denoise(
         Features; each makes the result better.
     depth : (h, w), optional
         Camera z or distance.
+    samples : number or (h, w), optional
+        Samples a pixel of color, see `Frame`.
     model, threads
         As `Denoiser`'s.
 
@@ -295,4 +298,6 @@ def denoise(
         A buffer or the model cannot be used.
     """
     with Denoiser(model, threads=threads, temporal=False) as denoiser:
-        return denoiser.denoise(Frame(color=color, albedo=albedo, normal=normal, depth=depth))
+        return denoiser.denoise(
+            Frame(color=color, albedo=albedo, normal=normal, depth=depth, samples=samples)
+        )

@@ -85,7 +85,7 @@ def tiled(frame: Frame, height: int, width: int) -> Frame:
     buffers = {
         field.name: np.ascontiguousarray(cv2.repeat(array, rows, columns)[:height, :width])
         for field in fields(frame)
-        if field.name != "jitter" and (array := getattr(frame, field.name)) is not None
+        if field.name != "jitter" and isinstance(array := getattr(frame, field.name), np.ndarray)
     }
     return replace(frame, **buffers)
 

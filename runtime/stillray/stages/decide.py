@@ -125,7 +125,7 @@ def decide(
 
 _REPAIR = {
     True: "every value is finite and in its range",
-    False: "a value is NaN, infinite or out of its range",
+    False: "a value is NaN, infinite or out of its range, or a pixel has no samples",
 }
 _REJECT = "what the past says is compared with this frame's samples"
 

@@ -20,6 +20,7 @@ from stillray.stages.exposure import Exposed, expose, expose_anew, local_luminan
 from stillray.stages.means import Means
 from stillray.stages.motion_dilation import follow_nearer
 from stillray.stages.repair import Buffers
+from stillray.stages.sample_counts import SampleCounts
 from stillray.stages.state import History, Prepared
 from stillray.timing import timed, timed_pass
 
@@ -71,6 +72,7 @@ def prepare_planned(plan: TemporalPlan, means: Means) -> Prepared:
             noise=pixels.noise,
             divisor=remembered,
             divisor_samples=samples,
+            frame_samples=pixels.counts.mean,
         ),
         sample=pixels.sample,
         luminance=exposed.luminance,
@@ -85,6 +87,7 @@ def prepare_planned(plan: TemporalPlan, means: Means) -> Prepared:
         picture_positions=pixels.positions if pixels.looks_back else None,
         disoccluded=pixels.disoccluded,
         history_confidence=pixels.confidence,
+        counts=pixels.counts,
     )
 
 
@@ -134,6 +137,8 @@ class _Pixels:
         How far the past agrees with this frame, see `stillray.stages.history_rejection`.
     noise
         What that leaves for the next frame; None without a past.
+    counts
+        The frame's samples.
     """
 
     def __init__(
@@ -142,6 +147,8 @@ class _Pixels:
         self._plan, self._buffers, self.exposed, self._means = plan, buffers, exposed, means
         shape, workspace, spare = plan.shape, means.workspace, means.spare_for(plan.shape)
         wants, moved = plan.wants, plan.moved
+        before = None if plan.past is None else plan.past.frame_samples
+        self.counts = SampleCounts.of(buffers.samples, before)
 
         def room(name: str, *more: int, dtype: type = np.float32) -> np.ndarray:
             return workspace.array(name, (*more, *shape), dtype)
@@ -213,7 +220,10 @@ class _Pixels:
                         now = self._geometry(rows, self.guides[rows])
                 if past is not None:
                     with part("warp"):
-                        planes_of(self._reproject(rows, past, now), out=self._past_of(rows))
+                        before = self._past_of(rows)
+                        assert before is not None
+                        planes_of(self._reproject(rows, past, now), out=before)
+                        self.counts.held_by_pixel(before[3], rows)
                     with part("reject"):
                         self._compare(rows)
 
@@ -288,6 +298,7 @@ class _Pixels:
             planes[3] *= self.confidence[rows]
         irradiance, weight = self._weighed(rows, None if planes is None else planes[3])
         if planes is None:
+            self.counts.by_frame(weight, rows)
             cv2.merge([irradiance, weight], dst=self.mean[rows])
             return
         if self.sample is None:
@@ -295,11 +306,13 @@ class _Pixels:
         else:
             new = self.sample[:3, rows]
             np.copyto(self.sample[3, rows], weight)
+            self.counts.by_frame(self.sample[3, rows], rows)
         planes_of(irradiance, out=new)
         acc.accumulate(new, weight, planes, options, scratch)
-        interleave(planes, out=self.mean[rows])
         if self.disoccluded is not None:
             np.less_equal(planes[3], weight, out=self.disoccluded[rows].view(bool))
+        self.counts.by_frame(planes[3], rows)
+        interleave(planes, out=self.mean[rows])
         if self.accumulated is not None:
             features.luminance_of_planes(planes, out=self.accumulated[rows])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -28,10 +28,10 @@ class Buffers:
 
     Attributes
     ----------
-    color, albedo, normal, depth, motion
+    color, albedo, normal, depth, motion, samples
         As in `Frame`.
     broken : (h, w) bool or None
-        Pixels whose color was not finite and has been filled in.
+        Pixels whose color was not finite, or that have no samples, and which are filled in.
     """
 
     color: np.ndarray
@@ -39,16 +39,19 @@ class Buffers:
     normal: np.ndarray | None
     depth: np.ndarray | None
     motion: np.ndarray | None
+    samples: float | np.ndarray | None = None
     broken: np.ndarray | None = None
 
     @classmethod
     def of(cls, frame: Frame) -> Buffers:
         """The buffers as given."""
-        return cls(**{name: getattr(frame, name) for name in _RANGES})
+        return cls(**{name: getattr(frame, name) for name in _RANGES}, samples=frame.samples)
 
     def in_range(self, rows: slice) -> bool:
         """Whether nothing in these rows needs repair."""
         arrays = {name: getattr(self, name) for name in _RANGES}
+        if isinstance(self.samples, np.ndarray) and not self.samples[rows].all():
+            return False
         return all(
             within(array[rows], *_RANGES[name])
             for name, array in arrays.items()
@@ -57,36 +60,45 @@ class Buffers:
 
     def repaired(self) -> Buffers:
         """All in range; what was, is passed on without a copy."""
-        color, broken = repair_radiance(self.color)
+        empty = self.samples == 0 if isinstance(self.samples, np.ndarray) else None
+        color, broken = repair_radiance(self.color, empty)
         features = {
             name: None if array is None else repair_feature(array, *_RANGES[name])
             for name in ("albedo", "normal", "depth")
             for array in [getattr(self, name)]
         }
         motion = None if self.motion is None else repair_motion(self.motion)
-        return Buffers(color=color, motion=motion, broken=broken, **features)
+        return replace(self, color=color, motion=motion, broken=broken, **features)
 
 
-def repair_radiance(color: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+def repair_radiance(
+    color: np.ndarray, empty: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray | None]:
     """Replace NaN, infinite and negative radiance from finite neighbours.
 
     Parameters
     ----------
     color : (h, w, 3) float32
         Radiance. Not changed.
+    empty : (h, w) bool, optional
+        Pixels whose radiance means nothing, whatever it says.
 
     Returns
     -------
     color : (h, w, 3) float32
         Finite, in [0, MAX_RADIANCE]; the input itself where nothing was wrong.
     broken : (h, w) bool or None
-        Pixels that held a NaN or an infinity and carry no sample of their own; None if none did.
+        Pixels that held a NaN or an infinity, or were empty, and carry no sample of their own;
+        None if none did.
         A negative channel counts as 0: renderers write it through filter lobes and it still is
         a sample.
     """
-    if within(color, 0, MAX_RADIANCE):
+    empty = empty if empty is not None and empty.any() else None
+    if empty is None and within(color, 0, MAX_RADIANCE):
         return color, None
     valid = np.isfinite(color).all(axis=-1)
+    if empty is not None:
+        valid &= ~empty
     cleaned = np.clip(np.where(valid[..., None], color, 0), 0, MAX_RADIANCE).astype(np.float32)
     if valid.all():
         return cleaned, None

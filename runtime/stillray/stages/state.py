@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stillray.stages.history_rejection import Noise
+from stillray.stages.sample_counts import SampleCounts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +71,8 @@ class History:
         Frames that the ``divisor`` holds.
     layers
         By name, the past of layers that are filtered as the beauty is.
+    frame_samples
+        Samples a pixel of the frames that ``mean`` counts in; None if nobody said.
     """
 
     mean: np.ndarray
@@ -80,6 +83,7 @@ class History:
     divisor: np.ndarray | None = None
     divisor_samples: float = 0.0
     layers: Mapping[str, LayerPast] = field(default_factory=dict)
+    frame_samples: float | None = None
 
     @property
     def remembered(self) -> Remembered:
@@ -129,6 +133,8 @@ class Prepared:
     disoccluded : (h, w) uint8 or None
         1 where a pixel holds this frame's sample alone; None without a past, or where nobody looks
         at past outputs.
+    counts
+        The frame's samples.
     """
 
     history: History
@@ -145,6 +151,7 @@ class Prepared:
     picture_positions: np.ndarray | None = None
     disoccluded: np.ndarray | None = None
     history_confidence: np.ndarray | None = None
+    counts: SampleCounts = SampleCounts()  # noqa: RUF009  a value that nobody can change
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

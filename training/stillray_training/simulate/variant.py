@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes.util
 import os
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,19 @@ def find_llvm() -> str | None:
     return max(usable, key=_major, default=None)
 
 
+@cache
+def bound_llvm() -> str | None:
+    """`find_llvm`, once a process, and told to Dr.Jit and to processes that this one starts.
+
+    Dr.Jit binds its library at first use, for good: one that is installed while a process runs
+    must not make it render with another, which aborts.
+    """
+    library = find_llvm()
+    if library:
+        os.environ["DRJIT_LIBLLVM_PATH"] = library
+    return library
+
+
 def load_mitsuba(variant: str | None = None) -> tuple[Any, str]:
     """Import Mitsuba under the fastest variant that is safe here.
 
@@ -56,9 +70,7 @@ def load_mitsuba(variant: str | None = None) -> tuple[Any, str]:
     InputError
         There is no such variant, or it cannot run here.
     """
-    library = find_llvm()
-    if library:
-        os.environ["DRJIT_LIBLLVM_PATH"] = library
+    library = bound_llvm()
     import mitsuba as mi
 
     if variant is None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from stillray.io.channels.motion_convention import MotionConvention
 
-ROLES = ("color", "albedo", "normal", "depth", "motion")
+ROLES = ("color", "albedo", "normal", "depth", "motion", "samples")
 
 _RENDERER_KEYS = {"name", "prefixed", "source", *ROLES}
 _LAYER_KEYS = {
@@ -86,7 +86,7 @@ def parse_table(text: str) -> RendererTable:
     """
     data = tomllib.loads(text)
     components = {role: _alternatives(data["components"][role]) for role in ROLES}
-    alone = {role: _alternatives(data["alone"][role]) for role in ROLES[1:]}
+    alone = {role: _alternatives(lists) for role, lists in data["alone"].items()}
     rules: list[Rule] = []
     for renderer in data["renderer"]:
         _require_known(renderer, _RENDERER_KEYS)

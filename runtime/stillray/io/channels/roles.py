@@ -1,4 +1,4 @@
-"""Which channels of a renderer's file are color, albedo, normal, depth and motion.
+"""Which channels of a renderer's file are color, albedo, normal, depth, motion and samples.
 
 What renderers call them stands in ``renderers.toml``. Motion whose sign and unit are not certain is
 found and reported, but not used until two frames have proven what it means
@@ -32,7 +32,7 @@ __all__ = [
 
 _UNPROVEN = "sign and units of this motion are not verified: not used unless two frames prove them"
 _SHORTEST_LOOSE_NAME = 3  # letters: shorter names, N and Z, must match exactly
-_COUNTS = {"color": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2}
+_COUNTS = {"color": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "samples": 1}
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class LayerMatch:
     Attributes
     ----------
     role
-        ``"color"``, ``"albedo"``, ``"normal"``, ``"depth"`` or ``"motion"``.
+        ``"color"``, ``"albedo"``, ``"normal"``, ``"depth"``, ``"motion"`` or ``"samples"``.
     channels
         Channel names in the order of the buffer's axes.
     renderer
@@ -232,12 +232,12 @@ def parse_overrides(texts: Iterable[str]) -> dict[str, str]:
 
 
 def gather(match: LayerMatch, channels: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The buffer that a match describes: ``(h, w)`` for depth, else ``(h, w, channels)``.
+    """The buffer that a match describes: ``(h, w)`` for one channel, else ``(h, w, channels)``.
 
     Motion that is stored where surfaces were wants the channels of the previous frame's file.
     """
     planes = [channels[name] for name in match.channels]
-    if match.role == "depth":
+    if _COUNTS[match.role] == 1:
         return planes[0]
     # a fifth of what np.stack takes
     stacked = cv2.merge([np.ascontiguousarray(plane) for plane in planes])

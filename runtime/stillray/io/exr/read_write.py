@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from stillray.errors import InputError
-from stillray.frame import Frame
+from stillray.frame import Frame, check_samples
 from stillray.io.atomic import atomic_path
 from stillray.io.channels.motion_convention import MotionConvention
 from stillray.io.channels.roles import LayerMatch, find_alone, find_layers, find_lights, gather
@@ -22,6 +22,7 @@ from stillray.io.exr.container import Window
 from stillray.io.exr.file import Channels, ExrFile
 from stillray.io.exr.openimageio import checked_container, opened, openimageio, reason
 from stillray.io.exr.rewrite import rewrite, unkept
+from stillray.io.exr.samples import find_samples
 from stillray.io.exr.views import VIEW
 from stillray.version import __version__
 
@@ -57,6 +58,7 @@ def read_exr(
     layers: Mapping[str, str] | None = None,
     convention: MotionConvention | None = None,
     before: str | os.PathLike[str] | None = None,
+    samples: float | None = None,
 ) -> Frame:
     """Read one frame, finding its buffers among the channels of any known renderer.
 
@@ -80,6 +82,9 @@ def read_exr(
         `stillray.io.channels.motion_detection.detect_motion`.
     before
         The file of the previous frame; needed for motion that is stored there.
+    samples
+        Samples a pixel, whatever the file says of them; see
+        `stillray.io.exr.samples.find_samples`.
 
     Returns
     -------
@@ -88,7 +93,8 @@ def read_exr(
     Raises
     ------
     InputError
-        A file cannot be read completely, lacks its buffer, or differs in size.
+        A file cannot be read completely, lacks its buffer, or differs in size; a channel of
+        samples holds what no count can be.
     """
     file = ExrFile.of_layers(path, layers)
     companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
@@ -100,17 +106,27 @@ def read_exr(
         if match.role not in given
     ]
     matches = [match for match in matches if match.used]
+    source = find_samples(file, matches, layers)
+    if samples is not None:
+        matches = [match for match in matches if match.role != "samples"]
     late = [m for m in matches if m.convention is not None and m.convention.stored == "before"]
     names = dict.fromkeys(name for m in matches if m not in late for name in m.channels)
     window = file.window(next(m for m in matches if m.role == "color").channels[0])
     planes = file.read(names, window)
-    buffers = {m.role: gather(m, planes) for m in matches if m not in late}
+    buffers: dict[str, Any] = {m.role: gather(m, planes) for m in matches if m not in late}
     if late and before is not None:  # a first frame has no frame before, and needs no motion
         previous = ExrFile.of_layers(before, layers)
         _require_channels(previous, late[0].channels)
         buffers["motion"] = gather(late[0], previous.read(late[0].channels, window))
     for role, companion in given.items():
         buffers[role] = _read_alone(role, companion, file, window, layers)
+    if "samples" in buffers:
+        try:
+            check_samples(buffers["samples"])
+        except InputError as error:
+            raise InputError(f"{file.path}: {error}; samples=none leaves the layer out") from None
+    else:
+        buffers["samples"] = source.number if samples is None else samples
     return Frame(**buffers)
 
 

@@ -91,7 +91,8 @@ def _without(name: str, view: str) -> str:
 def _listed(part: Part) -> tuple[str, ...]:
     """What ``multiView`` lists; nothing where its value makes no sense."""
     values = [a.value for a in part.attributes if (a.name, a.kind) == ("multiView", "stringvector")]
-    data, names = (values[0] if values else b""), []
+    data = values[0] if values else b""
+    names: list[str] = []
     while len(data) >= 4 and len(names) < _MOST_VIEWS:
         (length,) = struct.unpack("<i", data[:4])
         if not 0 < length <= len(data) - 4:

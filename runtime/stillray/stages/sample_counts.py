@@ -1,0 +1,89 @@
+"""How many samples a pixel a frame has, and what the past is worth beside them.
+
+The history counts in frames: a pixel of a frame adds 1 to what it holds, less if it is an outlier.
+Where a frame says how many samples a pixel it has, two things follow. A past of frames with fewer
+samples is worth fewer frames like this one. And in a frame whose pixels differ, each counts by its
+samples. So what is held at a pixel is brought to frames like this pixel of this frame, accumulated
+as ever, with all that is ruled there on outliers and on how much of a past is kept, and brought
+back to frames like the mean of this one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+#: Share of the mean's samples that a pixel counts as at least, if it has any: float32 holds what
+#: is divided by it, and what is filled in stays worth less.
+LEAST_SHARE = 1e-3
+_MOST_SCALE = 1e6  # a change of samples between frames beyond which a past is all or nothing
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SampleCounts:
+    """The samples of one frame.
+
+    Attributes
+    ----------
+    mean
+        Samples a pixel, mean of the pixels that have any; where the frame does not say, that of
+        the frame before; None where that did not say either.
+    share : (h, w) float32 or None
+        Each pixel's samples by the mean, above 0; 1 where a pixel has none: it is filled in, and
+        what that is worth does not depend on it. None where the pixels do not differ.
+    past_scale
+        Frames like this one that a frame of the past is worth.
+    """
+
+    mean: float | None = None
+    share: np.ndarray | None = None
+    past_scale: float = 1.0
+
+    @classmethod
+    def of(cls, samples: float | np.ndarray | None, before: float | None) -> SampleCounts:
+        """What a frame says, beside what is known of the past.
+
+        Parameters
+        ----------
+        samples : number or (h, w) float32 or None
+            As in `stillray.Frame`.
+        before
+            The ``mean`` of the frame before; None if it is not known, or there is none. A past
+            that never said counts as frames like this one.
+        """
+        share: np.ndarray | None = None
+        mean = before
+        if isinstance(samples, np.ndarray):
+            sampled = samples > 0  # NaN is not
+            if sampled.any():
+                mean = float(samples[sampled].mean(dtype=np.float64))
+                share = np.where(sampled, samples / np.float32(mean), np.float32(1))
+                np.maximum(share, np.float32(LEAST_SHARE), out=share)
+        elif samples is not None:
+            mean = samples
+        scale = 1.0
+        if before is not None and mean is not None:
+            scale = min(max(before / mean, 1 / _MOST_SCALE), _MOST_SCALE)
+        return cls(mean=mean, share=share, past_scale=scale)
+
+    @property
+    def told(self) -> float:
+        """Samples a pixel of a frame, for the network; 1 where nobody said, as in training."""
+        return 1.0 if self.mean is None else self.mean
+
+    def held_by_pixel(self, held: np.ndarray, rows: slice) -> None:
+        """Bring what the past holds, ``(h, w)`` of some rows, to frames like its pixels."""
+        if self.past_scale != 1:
+            held *= np.float32(self.past_scale)
+        if self.share is not None:
+            held /= self.share[rows]
+
+    def weight_by_pixel(self, weight: np.ndarray, rows: slice) -> np.ndarray:
+        """Weights of some rows as they were before `by_frame`."""
+        return weight if self.share is None else weight / self.share[rows]
+
+    def by_frame(self, held: np.ndarray, rows: slice) -> None:
+        """Bring frames like these pixels, ``(h, w)`` of some rows, to frames like the mean."""
+        if self.share is not None:
+            held *= self.share[rows]
