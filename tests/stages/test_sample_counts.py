@@ -10,6 +10,7 @@ import pytest
 import stillray
 from stillray.arrays.strips import Strips
 from stillray.frame import Frame
+from stillray.models.registry import find_model
 from stillray.stages.accumulate import FILLED_WEIGHT, accumulate
 from stillray.stages.prepare import prepare
 from stillray.stages.sample_counts import LEAST_SHARE, SampleCounts
@@ -103,6 +104,23 @@ def test_a_frame_of_many_samples_outweighs_a_past_of_few(spec):
     np.testing.assert_allclose(last.mean[..., 3] * last.frame_samples, 72, rtol=3e-2)
 
 
+def test_pixels_of_a_frame_count_by_their_own_samples(spec, rng):
+    counts = rng.integers(3, 9, (3, HEIGHT, WIDTH)) * np.array([1, 4, 2])[:, None, None]
+    frames = [grainy(count, seed) for seed, count in enumerate(counts)]
+    *_, last = histories(frames, spec)
+    light = sum(frame.color[..., 0] * count for frame, count in zip(frames, counts, strict=True))
+    np.testing.assert_allclose(last.mean[..., 0], light / counts.sum(0), rtol=2e-2)
+    np.testing.assert_allclose(last.mean[..., 3] * last.frame_samples, counts.sum(0), rtol=3e-2)
+
+
+def test_noise_of_the_past_is_taken_as_that_of_frames_like_this_one(spec):
+    quiet = grainy(64, 2)
+    quiet = dataclasses.replace(quiet, color=1 + (quiet.color - 1) / 8)
+    *_, last = histories([grainy(1, 0), grainy(1, 1), quiet], spec)
+    variance = last.noise.variance.mean() / last.exposure**2
+    assert variance < 2 * quiet.color.var()
+
+
 def test_a_past_of_many_samples_is_worth_the_most_frames_of_few_but_no_more(spec):
     many, few = grainy(64, 0), grainy(1, 1)
     *_, last = histories([many, many, few], spec)
@@ -175,7 +193,10 @@ class Listening:
     ("samples", "told"), [((None, None), 1), ((16, 16), 16), ((4, 16), 16), ((16, None), 16)]
 )
 def test_the_network_is_told_the_samples_that_a_pixel_holds(model, samples, told):
-    with stillray.Denoiser(model) as denoiser:
+    info = find_model(model)
+    learned = dataclasses.replace(info.spec.training, still_share=0.4)
+    info = dataclasses.replace(info, spec=dataclasses.replace(info.spec, training=learned))
+    with stillray.Denoiser(info) as denoiser:
         denoiser.engine = Listening(denoiser.engine)
         for seed, each in enumerate(samples):
             denoiser.denoise(dataclasses.replace(make_frame(64, 96, seed), samples=each))
@@ -185,6 +206,17 @@ def test_the_network_is_told_the_samples_that_a_pixel_holds(model, samples, told
     plane = features[0, spec.network.features.index("samples"), :64, :96]
     expected = np.sqrt(held / (held + spec.temporal.max_samples / 4))
     np.testing.assert_allclose(plane, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("model", ["wskp-3", "nbg-7x3"])
+def test_a_network_that_has_not_learned_with_samples_is_not_told(model):
+    frame = make_frame(64, 96)
+    assert not find_model(model).spec.knows_samples
+    with stillray.Denoiser(model, temporal=False) as denoiser:
+        unknown = denoiser.denoise(frame)
+        np.testing.assert_array_equal(
+            denoiser.denoise(dataclasses.replace(frame, samples=64)), unknown
+        )
 
 
 def test_a_map_of_equal_samples_is_a_number(rng):

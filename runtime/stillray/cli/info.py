@@ -106,6 +106,7 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
     part = opened.container.parts[opened.channels[matches[0].channels[0]][0]]
     with Denoiser(model) as denoiser:
         stages, model_name = denoiser.stages(frame), denoiser.model.name
+        told = denoiser.model.spec.knows_samples
     height, width = frame.shape
     return {
         "file": str(path),
@@ -125,7 +126,7 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
             }
             for match in matches
         ],
-        "samples": _samples(frame, find_samples(opened, matches, chosen)),
+        "samples": _samples(frame, find_samples(opened, matches, chosen)) | {"told": told},
         "color_pixels": _count_pixels(frame.color),
         "warnings": _warnings(frame.normal),
         "model": model_name,
@@ -164,7 +165,8 @@ def _say_samples(samples: dict[str, Any]) -> str:
     count = f"{samples['most']:g} a pixel"
     if samples["least"] < samples["most"]:
         count = f"{samples['least']:g} to {count}, {samples['mean']:.4g} in the mean"
-    return f"samples: {count}, from {samples['from']}{note}"
+    network = "" if samples["told"] else "; the network is not told, it did not learn with them"
+    return f"samples: {count}, from {samples['from']}{note}{network}"
 
 
 def _count_pixels(color: np.ndarray) -> dict[str, int]:

@@ -256,7 +256,8 @@ class TemporalKernels(ABC):
                 normal=None if normal is None else normal[rows],
                 depth=None if depth is None else depth[rows],
                 depth_unit=prepared.depth_unit,
-                frame_samples=prepared.counts.told,
+                # to a network that has seen one sample a pixel alone, more look like a long past
+                frame_samples=prepared.counts.told if self.spec.knows_samples else 1.0,
                 out=target,
                 scratch=scratch,
             )

@@ -302,6 +302,11 @@ class ModelSpec:
     decoder: FusedKernels | PyramidKernels | BilateralGrids
     training: Training
 
+    @property
+    def knows_samples(self) -> bool:
+        """Whether its network learned what samples a pixel mean, and is told them."""
+        return "samples" in self.network.features and self.training.still_share > 0
+
     def __post_init__(self) -> None:
         if self.format != FORMAT:
             raise SpecError(f"format must be {FORMAT}, got {self.format}")

@@ -251,8 +251,12 @@ class _Pixels:
         if past is None or self._blocks is None or motion is None:
             return
         with timed(self._means.timings, "reject"):
+            noise = past.noise
+            if noise is not None and self.counts.past_scale != 1:  # as of frames like this one
+                variance = noise.variance * np.float32(self.counts.past_scale)
+                noise = replace(noise, variance=variance)
             self.confidence, self.noise = history_rejection.confidence(
-                self._blocks, past.noise, motion, self.exposed.exposure
+                self._blocks, noise, motion, self.exposed.exposure
             )
         kept = 1.0 if self.confidence is None else cv2.mean(self.confidence)[0]
         kept *= cv2.countNonZero(self._blocks[0]) / self._blocks[0].size  # 0 without a past
