@@ -40,7 +40,7 @@ _STILLS = 3  # examples of a few samples a pixel, of each sequence that has bloc
 _QUIETS = 2  # and of hundreds to thousands
 _MOST_SAMPLES = 4096
 _FIREFLIES = 0.3  # share of quiet examples that have some
-_BLURRED_PAST = 0.5  # share of quiet examples that have a past, blurred by having been moved
+_QUIET_PAST = 0.5  # share of quiet examples that have a past
 _SAMPLES_KNOWN = 0.5  # share of patches whose frames say how many samples they have
 _AT_BORDER = 0.3  # share of patches that touch the top or bottom, and the left or right
 _FLAT = 0.05  # relative contrast of a reference patch below which there is little to learn
@@ -118,12 +118,36 @@ def _all_examples(
         example = _example([frame], reference, spec, strips)
         examples.append(replace(example, spp=samples, kind=STILL))
     for frame, samples in _quiets(blocks, reference, rng):
-        example = _example([frame], reference, spec, strips)
-        example = replace(example, spp=samples, kind=QUIET)
-        if rng.random() < _BLURRED_PAST:
-            example = _with_blurred_past(example, rng)
-        examples.append(example)
+        examples.append(_quiet_example(frame, samples, reference, spec, strips, rng))
     return examples
+
+
+def _quiet_example(
+    frame: Frame,
+    samples: float,
+    reference: np.ndarray,
+    spec: ModelSpec,
+    strips: Strips,
+    rng: np.random.Generator,
+) -> Example:
+    """A quiet frame, perhaps with fireflies, alone or after frames as quiet without any."""
+    shining = rng.random() < _FIREFLIES
+    past = rng.random() < _QUIET_PAST
+    run = [frame]
+    if shining:
+        frame = replace(frame, color=add_fireflies(frame.color, reference, rng))
+        run = [frame]
+        if past:
+            still = np.zeros((*frame.shape, 2), np.float32)
+            last = replace(frame, motion=still)
+            quiet = replace(last, color=reference.astype(np.float32))
+            run = [quiet] * int(rng.integers(2, 9)) + [last]
+    example = replace(_example(run, reference, spec, strips), spp=samples, kind=QUIET)
+    if shining and past:
+        # the last output of frames without fireflies: the picture as it should be
+        valid = np.ones((*frame.shape, 1), np.float32)
+        return replace(example, previous=np.concatenate([reference, valid], -1))
+    return _with_blurred_past(example, rng) if past else example
 
 
 def _stills(
@@ -151,8 +175,6 @@ def _quiets(
         count = float(np.exp(rng.uniform(np.log(2 * most), np.log(_MOST_SAMPLES))))
         noise = np.float32(np.sqrt(most / count))
         color = reference + noise * (whole.color - reference)
-        if rng.random() < _FIREFLIES:
-            color = add_fireflies(color, reference, rng)
         yield replace(whole, color=color.astype(np.float32), motion=None), count
 
 
