@@ -105,7 +105,6 @@ def _clusters(denoiser: stillray.Denoiser, brightness: float, after: int) -> flo
     "largest pixel / the same without it",
     100,
     nbg_7x3=_TRAINED_ON_CLEAN,
-    kpyr_5=_TRUSTS_SAMPLES,
     kpyr_5s=_TRUSTS_SAMPLES,
     wskp_mr=_TRUSTS_SAMPLES,
 )
@@ -118,7 +117,6 @@ def cluster_of_fireflies(denoiser: stillray.Denoiser) -> float:
     "largest pixel / the same without it",
     100,
     nbg_7x3=_TRAINED_ON_CLEAN,
-    kpyr_5=_TRUSTS_SAMPLES,
     kpyr_5s=_TRUSTS_SAMPLES,
     wskp_mr=_TRUSTS_SAMPLES,
 )
