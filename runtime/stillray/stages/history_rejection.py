@@ -275,7 +275,7 @@ def _follow_noise(
     past = cv2.remap(
         before.variance, place, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
-    past *= np.float32(min((exposure / before.exposure) ** 2, _BRIGHTEST))
+    past *= np.float32(min((exposure / before.exposure) ** 2, float(_BRIGHTEST)))
     frames = min(before.frames + 1, _NOISE_FRAMES)
     seen = window.samples > _LEAST_WEIGHT
     past += (now - past) * seen / np.float32(frames)
