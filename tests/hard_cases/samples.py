@@ -52,8 +52,8 @@ def _peak(denoiser: stillray.Denoiser, before: int, after: int) -> float:
 
 
 _TAKES_QUIET_SAMPLES = (
-    "what frames of many samples taught: in a quiet picture this frame's sample is taken for light, "
-    "and the past, which says otherwise, is given up"
+    "what frames of many samples taught: a sample in a quiet picture is taken for light, and the "
+    "past, which says otherwise, is given up"
 )
 
 

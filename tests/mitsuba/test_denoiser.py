@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from types import SimpleNamespace
 
 import mitsuba as mi
 import numpy as np
@@ -156,8 +157,10 @@ def camera(origin, target=(0, 0, 0), *, offset=0.0, variant=mi):
 
 def ray(sensor, x, y):
     """The renderer's own ray through a place of the picture, pixels."""
-    place = mi.Point2f(x / WIDTH, y / HEIGHT)
-    return sensor.sample_ray(0, 0.5, place, mi.Point2f(0.5))[0]
+    place = mi.Point2f(float(x / WIDTH), float(y / HEIGHT))
+    found = sensor.sample_ray(0, 0.5, place, mi.Point2f(0.5))[0]
+    # of one ray, whichever variant is set
+    return SimpleNamespace(o=np.array(found.o).ravel(), d=np.array(found.d).ravel())
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.13])

@@ -130,7 +130,7 @@ def test_a_few_steps_lower_the_loss():
     losses = []
     for _ in range(30):
         logits = network(noisy[:, :1].sqrt())
-        loss = smape(predicted_kernels(noisy, samples, logits, SMALL), truth, 0.01)
+        loss = smape(predicted_kernels(noisy, samples, logits, SMALL), truth, 0.01).mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
