@@ -254,6 +254,7 @@ def shadow_moves_in_noise(denoiser: stillray.Denoiser) -> float:
     "the same, 16 samples",
     _WITH_AND_WITHOUT,
     1.1,
+    kpyr_5=_HIDDEN_BY_NOISE,
     kpyr_5s=_HIDDEN_BY_NOISE,
     nbg_7x3=_HIDDEN_BY_NOISE,
     wskp_6=_HIDDEN_BY_NOISE,

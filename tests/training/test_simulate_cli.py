@@ -92,7 +92,7 @@ def test_explain_says_what_runs_and_renders_nothing(tmp_path, xml):
     [
         (
             ("--scene", "nowhere.xml"),
-            "scene must be of room, corridor, court, tabletop, interior, desk, shadows, terrace or a",
+            "scene must be of room, corridor, court, tabletop, interior, desk, shadows, terrace",
         ),
         (("--scene", "room", "--effects", "caustics"), "effects must be of soft_shadow"),
         (("--scene", "room", "--spp", "0"), "spp must be 1 or more, got 0"),
