@@ -44,13 +44,6 @@ class Camera:
             z,
         )
 
-    def project_direction(
-        self, direction: np.ndarray, height: int, width: int
-    ) -> tuple[np.ndarray, ...]:
-        """Pixel coordinates ``x, y`` of points at infinity in ``(..., 3)`` world directions."""
-        x, y, _ = self.project(self.to_world[:3, 3] + direction, height, width)
-        return x, y
-
 
 def look_at(origin: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
     """Camera-to-world matrix of a camera at ``origin`` that looks at ``target``."""
