@@ -107,14 +107,18 @@ def test_each_view_has_its_own_color_and_depth(stereo):
     assert left == (([5, 6, 7], 4) if parts else ([4, 5, 6], 7))
 
 
-def test_an_eye_is_never_taken_in_silence(stereo, capsys):
-    with pytest.raises(InputError, match=r"holds the views right, left: --view right denoises"):
+def test_a_reader_of_one_picture_takes_no_eye_in_silence(stereo):
+    with pytest.raises(InputError, match=r"holds the views right, left, of which one must be"):
         read_exr(stereo)
     with pytest.raises(InputError, match=r"must have the view middle, but it has right, left"):
         read_exr(stereo, layers={"view": "middle"})
-    assert main(["denoise", str(stereo), "-o", str(stereo.with_name("o.exr"))]) == 2
-    assert "--view" in capsys.readouterr().err
-    assert not stereo.with_name("o.exr").exists()
+
+
+def test_info_shows_one_eye_and_says_so(stereo, capsys):
+    assert main(["info", str(stereo), "-m", "fast"]) == 0
+    assert "views: right, left; this is right; all are denoised" in capsys.readouterr().out
+    assert main(["info", str(stereo), "-m", "fast", "--view", "left"]) == 0
+    assert "this is left" in capsys.readouterr().out
 
 
 def test_both_eyes_are_denoised_one_after_the_other(stereo):

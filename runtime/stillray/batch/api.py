@@ -18,7 +18,7 @@ from stillray.errors import InputError
 from stillray.families.registry import family_of
 from stillray.frame import check_samples
 from stillray.io.channels.motion_detection import Detection
-from stillray.io.exr.read_write import expected_changes
+from stillray.io.image_file import is_float_map
 from stillray.models.registry import DEFAULT_MODEL, ModelInfo, find_model
 
 #: Frames of a chunk unless told otherwise: twice as many as are run before it for its history.
@@ -34,8 +34,8 @@ class ShotOptions:
     companions
         Feature files, patterns, globs or folders by role: albedo, normal, depth, motion.
     layers
-        Role to the layer, or channels, to take for it; and ``"view"`` to the view to denoise of
-        files that hold several.
+        Role to the layer, or channels, to take for it; and ``"view"`` to the one view to denoise
+        of files that hold several, all of which are denoised else, each with its own history.
     samples
         Samples a pixel of the frames, above 0; None for what the files say.
     aovs
@@ -58,7 +58,8 @@ class ShotOptions:
     threads
         Of each process, 1 or more; None for all processors, shared among local workers.
     max_memory
-        Bytes that the process should stay below; None for whole frames.
+        Bytes that the process should stay below; None for whole frames. Of files with several
+        views each takes its share.
     workers
         Local processes that take a chunk of the shot each; None for this process alone.
     scheduler
@@ -235,9 +236,9 @@ class PlannedShot:
         remove_leftovers(self.jobs)
         if self.layout.detection is not None:
             progress.motion(self.layout.detection)
-        if not self.layout.only_color:
-            for line in expected_changes(self.jobs[0].source, self.layout.layers):
-                progress.note(line)
+        outputs = [job.output for job in self.jobs if job.output is not None]
+        for line in self.layout.changes(self.jobs[0].source, outputs[0]):
+            progress.note(line)
         ran: list[FrameReport] = []
         already, cancelled = self.already, False
 
@@ -306,6 +307,7 @@ def plan_run(
         temporal=temporal and "motion" not in options.companions,
         samples=options.samples,
     )
+    _check_outputs(jobs, layout, resume=options.resume)
     chosen = find_model(model)
     memory, cuts = _memory(chosen, options, len(jobs)), options.cuts and temporal
     recipe = Recipe(
@@ -315,7 +317,7 @@ def plan_run(
     )
     done = [False] * len(jobs)
     if options.resume and (look or not options.in_chunks):
-        done = finished(jobs, recipe, memory=memory, layers=layers)
+        done = finished(jobs, recipe, memory=memory, layers=layout.of_views)
     work = ShotSettings(
         model=str(chosen.path.absolute()) if model.endswith(".onnx") else chosen.name,
         recipe=recipe,
@@ -336,6 +338,18 @@ def plan_run(
         work=work,
         started=started,
     )
+
+
+def _check_outputs(jobs: Sequence[ShotFrame], layout: Layout, *, resume: bool) -> None:
+    """Raise `InputError` where a float map cannot hold what is asked of it."""
+    maps = [job.output for job in jobs if job.output is not None and is_float_map(job.output)]
+    if maps and resume:
+        raise InputError(f"resume must have .exr outputs, which hold digests, got {maps[0]}")
+    if maps and layout.views:
+        raise InputError(
+            f"output must be an .exr file for the views {', '.join(layout.views)}, or --view must "
+            f"choose one, got {maps[0]}"
+        )
 
 
 def _memory(model: ModelInfo, options: ShotOptions, frames: int) -> int:

@@ -87,8 +87,10 @@ class ShotSettings:
             # in little memory no more frames than needed are held at a time
             ahead=AHEAD if self.max_memory is None else 1,
         )
+        # each view has a past of its own
+        most = None if self.max_memory is None else self.max_memory // len(self.layout.of_views)
         with Denoiser(
-            model, threads=self.threads, temporal=self.temporal, max_memory=self.max_memory
+            model, threads=self.threads, temporal=self.temporal, max_memory=most
         ) as denoiser:
             run_steps(denoiser, chain([first], todo), how, report)
 
@@ -174,7 +176,7 @@ def denoise_chunk(jobs: Sequence[ShotFrame], threads: int, *, work: ShotSettings
     model = work.find_model()
     if work.threads is None:
         work = replace(work, threads=threads)
-    kept = finished(jobs, work.recipe, memory=work.memory, layers=work.layout.layers)
+    kept = finished(jobs, work.recipe, memory=work.memory, layers=work.layout.of_views)
     ran: list[FrameReport] = []
     error: str | None = None
     try:

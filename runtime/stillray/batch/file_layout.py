@@ -5,13 +5,37 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.channels.motion_detection import Detection, detect_in_sequence
-from stillray.io.exr.read_write import read_exr, read_lights, write_exr
+from stillray.io.exr.read_write import (
+    CleanView,
+    expected_changes,
+    read_lights,
+    write_exr,
+    write_views,
+)
+from stillray.io.exr.views import VIEW
+from stillray.io.frame_file import read_frame, views_to_denoise
+from stillray.io.image_file import is_float_map, write_image
+
+
+class ViewFrame(NamedTuple):
+    """One view of a frame: its buffers, and its layers of light by name."""
+
+    frame: Frame
+    lights: dict[str, np.ndarray]
+
+
+class CleanPicture(NamedTuple):
+    """One view's clean picture ``(h, w, 3)``, and its filtered layers by name."""
+
+    image: np.ndarray
+    lights: dict[str, np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +54,9 @@ class Layout:
         What the motion was proven to mean; None where that is known.
     samples
         Samples a pixel, whatever the files say; None for what they say.
+    views
+        Names of the views, all of which are denoised; empty for one picture, or where ``layers``
+        choose a view.
     """
 
     layers: Mapping[str, str] = field(default_factory=dict)
@@ -37,6 +64,7 @@ class Layout:
     only_color: bool = False
     detection: Detection | None = None
     samples: float | None = None
+    views: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -54,16 +82,31 @@ class Layout:
         Raises
         ------
         InputError
-            A file that is looked at cannot be read.
+            A file that is looked at cannot be read; or what was asked for needs one view alone.
         """
-        detection = detect_in_sequence(paths, layers=layers) if temporal else None
+        layers = layers or {}
+        views = views_to_denoise(paths[0], layers)
+        if views and only_color:
+            raise InputError(
+                f"only-color must be given with --view of files with views, {paths[0]} has "
+                f"{', '.join(views)}"
+            )
+        # a renderer's motion means the same for all of its views
+        looked_at = {**layers, VIEW: views[0]} if views else layers
+        temporal = temporal and not is_float_map(paths[0])
         return cls(
-            layers=layers or {},
+            layers=layers,
             aovs=aovs,
             only_color=only_color,
-            detection=detection,
+            detection=detect_in_sequence(paths, layers=looked_at) if temporal else None,
             samples=samples,
+            views=views,
         )
+
+    @property
+    def of_views(self) -> tuple[Mapping[str, str], ...]:
+        """The layers of each view; of the one picture, where there are no views."""
+        return tuple({**self.layers, VIEW: view} for view in self.views) or (self.layers,)
 
     def options(self) -> dict[str, str | float | bool | None]:
         """What of it changes the files that are written, by name."""
@@ -74,48 +117,89 @@ class Layout:
             "only_color": self.only_color,
             "motion": None if self.detection is None else str(convention),
             "samples": self.samples,
+            **({"views": ",".join(self.views)} if self.views else {}),
         }
 
     def read(
         self, path: Path, companions: Mapping[str, Any], before: Path | None
-    ) -> tuple[Frame, dict[str, np.ndarray]]:
-        """A frame, and its layers of light by name.
+    ) -> tuple[ViewFrame, ...]:
+        """A frame in each of its views.
 
         Parameters
         ----------
         path, companions
-            As `read_exr` takes them, companions by role.
+            As `stillray.io.frame_file.read_frame` takes them.
         before
             File of the frame before it, if that was denoised.
+
+        Raises
+        ------
+        InputError
+            A file cannot be read, lacks its buffer or a view, or has other layers than were named.
         """
         convention = self.detection.convention if self.detection else None
-        frame = read_exr(
-            path,
-            **companions,
-            layers=self.layers,
-            convention=convention,
-            before=before,
-            samples=self.samples,
-        )
-        lights = {} if self.aovs is None else read_lights(path, self.aovs, layers=self.layers)
-        return frame, lights
+        found = []
+        for layers in self.of_views:
+            frame = read_frame(
+                path,
+                companions,
+                layers=layers,
+                convention=convention,
+                before=before,
+                samples=self.samples,
+            )
+            lights = {}
+            if self.aovs is not None and not is_float_map(path):
+                lights = read_lights(path, self.aovs, layers=layers)
+            found.append(ViewFrame(frame, lights))
+        return tuple(found)
+
+    def changes(self, source: Path, output: Path) -> list[str]:
+        """What of a source's structure its output cannot keep, each in a line."""
+        if self.only_color or is_float_map(source):
+            return []
+        if is_float_map(output):
+            return [f"{output.suffix} files hold the color alone"]
+        lines = [line for layers in self.of_views for line in expected_changes(source, layers)]
+        return list(dict.fromkeys(lines))
 
     def write(
         self,
         path: Path,
-        image: np.ndarray,
-        lights: Mapping[str, np.ndarray],
+        pictures: Sequence[CleanPicture],
         *,
         like: Path,
         attributes: Mapping[str, str] | None = None,
     ) -> int:
-        """Write a clean frame in the structure of its source; how many values were clamped."""
+        """Write a clean frame in the structure of its source; how many values were clamped.
+
+        Parameters
+        ----------
+        path
+            An EXR file, or a float map, which holds the picture alone.
+        pictures
+            One a view, in the order of ``views``.
+        like
+            The source.
+        attributes
+            What is told of it in an EXR file.
+        """
+        if self.views:
+            clean = [
+                CleanView(layers=layers, image=image, lights=lights)
+                for layers, (image, lights) in zip(self.of_views, pictures, strict=True)
+            ]
+            return write_views(path, clean, like=like, attributes=attributes)
+        (picture,) = pictures
+        if is_float_map(path):
+            write_image(path, picture.image)
+            return 0
         return write_exr(
             path,
-            image,
-            like=like,
+            picture.image,
+            like=None if is_float_map(like) else like,
             layers=self.layers,
             only_color=self.only_color,
-            lights=lights,
+            lights=picture.lights,
             attributes=attributes,
         )

@@ -66,22 +66,22 @@ class Recipe:
         text = json.dumps(whole, sort_keys=True)
         return hashlib.blake2b(text.encode(), digest_size=_DIGEST_BYTES).hexdigest()
 
-    def attributes(self, digest: str, picture: np.ndarray) -> dict[str, str]:
+    def attributes(self, digest: str, *pictures: np.ndarray) -> dict[str, str]:
         """What is written into the file of a clean frame.
 
         Parameters
         ----------
         digest
             From `digest`.
-        picture : (h, w, 3) float32
-            The clean frame.
+        pictures : (h, w, 3) float32
+            The clean frame, in each of its views.
         """
         return {
             "stillray:version": self.version,
             "stillray:model": self.model,
             "stillray:options": json.dumps(dict(self.options), sort_keys=True),
             _DIGEST: digest,
-            _PICTURE: picture_digest(picture),
+            _PICTURE: picture_digest(*pictures),
         }
 
 
@@ -102,14 +102,17 @@ def file_digest(path: Path) -> str:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def picture_digest(picture: np.ndarray) -> str:
-    """Digest of a picture ``(h, w, 3)`` in half precision, clamped as it is when it is written."""
+def picture_digest(*pictures: np.ndarray) -> str:
+    """Digest of pictures ``(h, w, 3)`` in half precision, clamped as they are when written."""
     half = np.finfo(np.float16)
-    stored = np.clip(picture, half.min, half.max).astype(np.float16)
-    return hashlib.blake2b(np.ascontiguousarray(stored).data, digest_size=_DIGEST_BYTES).hexdigest()
+    digest = hashlib.blake2b(digest_size=_DIGEST_BYTES)
+    for picture in pictures:
+        stored = np.clip(picture, half.min, half.max).astype(np.float16)
+        digest.update(np.ascontiguousarray(stored).data)
+    return digest.hexdigest()
 
 
-def is_finished(output: Path, digest: str, layers: Mapping[str, str] | None = None) -> bool:
+def is_finished(output: Path, digest: str, layers: Sequence[Mapping[str, str]] = ({},)) -> bool:
     """Whether a file is a complete clean frame with that digest; any other answer is no.
 
     Parameters
@@ -119,7 +122,7 @@ def is_finished(output: Path, digest: str, layers: Mapping[str, str] | None = No
     digest
         What it must hold, see `Recipe.digest`.
     layers
-        As its source was read with, see `stillray.io.exr.read_write.read_exr`.
+        As each view of its source was read with, see `stillray.io.exr.read_write.read_exr`.
     """
     from stillray.io.exr.read_write import read_metadata, read_picture
 
@@ -127,7 +130,7 @@ def is_finished(output: Path, digest: str, layers: Mapping[str, str] | None = No
         written: Any = read_metadata(output)
         if written.getattribute(_DIGEST) != digest:
             return False
-        picture = picture_digest(read_picture(output, layers=layers))
+        picture = picture_digest(*(read_picture(output, layers=view) for view in layers))
         if str(written.getattribute("compression")).split(":")[0] in _LOSSY:
             return True  # complete: it has been read
         return picture == written.getattribute(_PICTURE)

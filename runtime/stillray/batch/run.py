@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
-from stillray.batch.file_layout import Layout
+from stillray.batch.file_layout import CleanPicture, Layout, ViewFrame
 from stillray.batch.read_ahead import AHEAD, run_overlapped
 from stillray.batch.resume import Recipe, file_digest, is_finished
 from stillray.batch.scene_cuts import Agreement, CutDetector
 from stillray.batch.shot import RunStep, ShotFrame, window
-from stillray.frame import Frame
+from stillray.families.contract import State
 from stillray.io.channels.roles import holds_irradiance
 from stillray.pipeline.denoiser import Denoiser
 
@@ -48,16 +46,14 @@ class FrameReport:
 
 
 class _Read(NamedTuple):
-    frame: Frame
-    lights: dict[str, np.ndarray]
+    views: tuple[ViewFrame, ...]
     cut: Agreement | None
     digest: str
     milliseconds: float
 
 
 class _Denoised(NamedTuple):
-    picture: np.ndarray
-    lights: dict[str, np.ndarray]
+    views: tuple[CleanPicture, ...]
     cut: Agreement | None
     digest: str
     read_ms: float
@@ -69,7 +65,7 @@ def finished(
     recipe: Recipe,
     *,
     memory: int,
-    layers: Mapping[str, str] | None = None,
+    layers: Sequence[Mapping[str, str]] = ({},),
 ) -> list[bool]:
     """Which frames have been written already, from these inputs and by this recipe.
 
@@ -82,7 +78,7 @@ def finished(
     memory
         Frames that a history goes back.
     layers
-        As for `plan_shot`.
+        Of each view, see `Layout.of_views`.
     """
     # the work is that of libraries which let other threads run
     with ThreadPoolExecutor(thread_name_prefix="stillray-check") as pool:
@@ -172,9 +168,12 @@ class _Run:
     def __init__(self, denoiser: Denoiser, how: Handling) -> None:
         self._denoiser, self._how = denoiser, how
         # the reader's alone
-        self._detector = CutDetector(denoiser.model.spec) if how.cuts else None
+        spec, views = denoiser.model.spec, how.layout.of_views
+        self._detectors = [CutDetector(spec) for _ in views] if how.cuts else []
         self._inputs: deque[dict[str, str]] = deque(maxlen=how.memory + 1)
         self._before: Path | None = None
+        # the worker's alone: the past of each view
+        self._pasts: list[State | None] = [None] * len(views)
 
     def read(self, step: RunStep) -> _Read:
         start, job, how = time.perf_counter(), step.job, self._how
@@ -182,33 +181,55 @@ class _Run:
             self._inputs.clear()
             self._before = None
         self._inputs.append(_input_digests(job))
-        frame, lights = how.layout.read(job.source, job.companions, self._before)
+        views = how.layout.read(job.source, job.companions, self._before)
         self._before = job.source
-        cut = _cut(self._detector, frame, step)
+        cut = self._cut(views, step)
         digest = how.recipe.digest(list(self._inputs))
-        return _Read(frame, lights, cut, digest, _since(start))
+        return _Read(views, cut, digest, _since(start))
+
+    def _cut(self, views: Sequence[ViewFrame], step: RunStep) -> Agreement | None:
+        """Why the frame is taken for a cut, if it is: what cuts one eye cuts the other."""
+        if not self._detectors:
+            return None
+        if step.starts_anew:
+            for detector in self._detectors:
+                detector.reset()
+        found = [
+            detector.compare(view.frame)
+            for detector, view in zip(self._detectors, views, strict=True)
+        ]
+        return next((one for one in found if one is not None and one.is_cut), None)
 
     def work(self, step: RunStep, read: _Read) -> _Denoised:
-        if step.starts_anew or read.cut is not None:
-            self._denoiser.reset()
-        start, lights = time.perf_counter(), read.lights
-        if lights:
-            bare = [name for name in lights if holds_irradiance(name)]
-            picture, lights = self._denoiser.denoise_layers(read.frame, lights, irradiance=bare)
-        else:
-            picture = self._denoiser.denoise(read.frame)
-        return _Denoised(picture, lights, read.cut, read.digest, read.milliseconds, _since(start))
+        start, clean = time.perf_counter(), []
+        for place, view in enumerate(read.views):
+            if len(self._pasts) > 1:
+                self._denoiser.state = self._pasts[place]
+            if step.starts_anew or read.cut is not None:
+                self._denoiser.reset()
+            clean.append(self._denoise(view))
+            if len(self._pasts) > 1:
+                self._pasts[place] = self._denoiser.state
+        return _Denoised(tuple(clean), read.cut, read.digest, read.milliseconds, _since(start))
+
+    def _denoise(self, view: ViewFrame) -> CleanPicture:
+        if not view.lights:
+            return CleanPicture(self._denoiser.denoise(view.frame), {})
+        bare = [name for name in view.lights if holds_irradiance(name)]
+        return CleanPicture(
+            *self._denoiser.denoise_layers(view.frame, view.lights, irradiance=bare)
+        )
 
     def write(self, step: RunStep, denoised: _Denoised) -> FrameReport:
         start, clamped = time.perf_counter(), 0
         if step.writes:
             assert step.job.output is not None
+            images = [picture.image for picture in denoised.views]
             clamped = self._how.layout.write(
                 step.job.output,
-                denoised.picture,
-                denoised.lights,
+                denoised.views,
                 like=step.job.source,
-                attributes=self._how.recipe.attributes(denoised.digest, denoised.picture),
+                attributes=self._how.recipe.attributes(denoised.digest, *images),
             )
         return FrameReport(
             step=step,
@@ -222,15 +243,6 @@ class _Run:
 
 def _input_digests(job: ShotFrame) -> dict[str, str]:
     return {role: file_digest(path) for role, path in job.inputs.items()}
-
-
-def _cut(detector: CutDetector | None, frame: Frame, step: RunStep) -> Agreement | None:
-    if detector is None:
-        return None
-    if step.starts_anew:
-        detector.reset()
-    agreement = detector.compare(frame)
-    return agreement if agreement is not None and agreement.is_cut else None
 
 
 def _since(start: float) -> float:

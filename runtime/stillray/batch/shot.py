@@ -105,7 +105,8 @@ def plan_shot(
     InputError
         An input is missing or lacks its channels, or the output cannot be written.
     """
-    from stillray.io.exr.read_write import check_layer
+    from stillray.io.frame_file import check_buffer
+    from stillray.io.image_file import SUFFIXES
 
     if on_missing not in ("error", "skip"):
         raise InputError(f"on-missing must be error or skip, got {on_missing}")
@@ -121,8 +122,8 @@ def plan_shot(
         for role, pattern in (companions or {}).items()
     }
     for path in outputs.values():
-        if path.suffix.lower() != ".exr":
-            raise InputError(f"output must be an .exr file, got {path}")
+        if path.suffix.lower() not in SUFFIXES:
+            raise InputError(f"output must be a {', '.join(SUFFIXES)} file, got {path}")
     jobs = [
         ShotFrame(
             number=file.number,
@@ -138,7 +139,7 @@ def plan_shot(
     _require_writable(next(iter(outputs.values())), may_make_folder=names_folder(output))
     for job in jobs:
         for role, path in job.inputs.items():
-            check_layer(path, role, layers)
+            check_buffer(path, role, layers)
     return jobs
 
 

@@ -10,7 +10,7 @@ from stillray.cli import dry_run, reports
 from stillray.errors import InputError
 
 _CHUNK_FRAMES = 64  # as `stillray.batch.api` has it, which is not loaded for a help text
-_FILE = "EXR file that holds the {}, or a pattern, glob or folder for a sequence."
+_FILE = "EXR or PFM file that holds the {}, or a pattern, glob or folder for a sequence."
 
 
 def _complete_model(incomplete: str) -> list[str]:
@@ -26,8 +26,8 @@ def denoise(
         list[str] | None,
         typer.Argument(
             metavar="INPUT...",
-            help="An EXR file; a sequence as 'shot.####.exr', 'shot.%04d.exr', 'shot.$F4.exr' or "
-            "'shot.*.exr'; or the files of one sequence.",
+            help="An EXR or PFM file; a sequence as 'shot.####.exr', 'shot.%04d.exr', "
+            "'shot.$F4.exr' or 'shot.*.exr'; or the files of one sequence.",
         ),
     ] = None,
     hdr: Annotated[
@@ -38,8 +38,8 @@ def denoise(
         typer.Option(
             "--output",
             "-o",
-            help="An EXR file, a pattern as 'clean.####.exr', or a folder, which gets files of "
-            "the inputs' names; 'new/', with a slash, is made.",
+            help="An EXR or PFM file, a pattern as 'clean.####.exr', or a folder, which gets files "
+            "of the inputs' names; 'new/', with a slash, is made.",
         ),
     ] = "",
     model: Annotated[
@@ -68,8 +68,8 @@ def denoise(
     view: Annotated[
         str | None,
         typer.Option(
-            help="Of files with several views, as left and right: the one to denoise. The others "
-            "are kept as they are."
+            help="Of files with several views, as left and right: the only one to denoise, the "
+            "others are kept as they are. Without, all are, each with a history of its own."
         ),
     ] = None,
     samples: Annotated[
@@ -168,7 +168,7 @@ def denoise(
         bool, typer.Option("--verbose", "-v", help="A line a frame with all its times.")
     ] = False,
 ) -> None:
-    """Denoise an EXR file or a numbered sequence.
+    """Denoise an EXR or PFM file or a numbered sequence.
 
     Flags of oidnDenoise that mean the same are taken: --hdr, --alb, --nrm, -o, -q, with one dash
     or two.

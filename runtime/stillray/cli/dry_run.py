@@ -51,12 +51,12 @@ def collect(
     if not steps:
         return facts
     facts["layers"] = _layers(steps[0].job, layout)
-    first, _ = layout.read(steps[0].job.source, steps[0].job.companions, None)
+    first = layout.read(steps[0].job.source, steps[0].job.companions, None)[0].frame
     facts["stages_first"] = _stages(plan_frames([first], spec, temporal=temporal)[-1].stages)
     following = next((step for step in steps if not step.starts_anew), None)
     if following is not None:
         before = steps[steps.index(following) - 1].job.source
-        frame, _ = layout.read(following.job.source, following.job.companions, before)
+        frame = layout.read(following.job.source, following.job.companions, before)[0].frame
         # what a frame leaves to the next depends on its buffers, not on their values
         plans = plan_frames([first, frame], spec, temporal=temporal)
         facts["stages_following"] = _stages(plans[-1].stages)
@@ -112,21 +112,25 @@ def _frame(job: ShotFrame, step: RunStep | None) -> dict[str, Any]:
 def _layers(job: ShotFrame, layout: Layout) -> dict[str, Any]:
     from stillray.io.channels.roles import find_alone, find_layers
     from stillray.io.exr.read_write import ExrFile
+    from stillray.io.image_file import is_float_map
 
     proven = layout.detection is not None and layout.detection.convention is not None
-    found = {
-        match.role: {"file": str(job.source), "channels": list(match.channels)}
-        for match in find_layers(
-            ExrFile.of_layers(job.source, layout.layers, headers_only=True).channels,
-            layout.layers,
-        )
-        if match.used or (match.role == "motion" and proven)
-    }
+    layers = layout.of_views[0]
+    if is_float_map(job.source):
+        found: dict[str, Any] = {"color": {"file": str(job.source), "channels": ["its own"]}}
+    else:
+        file = ExrFile.of_layers(job.source, layers, headers_only=True)
+        found = {
+            match.role: {"file": str(job.source), "channels": list(match.channels)}
+            for match in find_layers(file.channels, layers)
+            if match.used or (match.role == "motion" and proven)
+        }
     for role, path in job.companions.items():
-        match = find_alone(
-            role, list(ExrFile.open(path, headers_only=True).channels), layout.layers
-        )
-        found[role] = {"file": str(path), "channels": list(match.channels) if match else []}
+        found[role] = {"file": str(path), "channels": ["its own"]}
+        if not is_float_map(path):
+            channels = list(ExrFile.open(path, headers_only=True).channels)
+            match = find_alone(role, channels, layers)
+            found[role]["channels"] = list(match.channels) if match else []
     return found
 
 

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 
 
 def info(
-    file: Annotated[str, typer.Argument(help="An EXR file, or a sequence: its first frame.")],
+    file: Annotated[
+        str, typer.Argument(help="An EXR or PFM file, or a sequence: its first frame.")
+    ],
     model: Annotated[
         str, typer.Option("--model", "-m", help="Quality, model name or .onnx file.")
     ] = "high",
@@ -33,7 +35,10 @@ def info(
         typer.Option("--layer", help="ROLE=NAME: take this layer, or channels, for a role."),
     ] = None,
     view: Annotated[
-        str | None, typer.Option(help="Of files with several views: the one to look at.")
+        str | None,
+        typer.Option(
+            help="Of files with several views: the one to look at; the first unless given."
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
@@ -45,10 +50,16 @@ def info(
     from stillray.io.exr.read_write import ExrFile
     from stillray.io.exr.views import VIEW
     from stillray.io.file_sequence import expand
+    from stillray.io.image_file import is_float_map
 
     chosen = parse_overrides(layer or []) | ({} if view is None else {VIEW: view})
     paths = [numbered.path for numbered in expand(file)]
+    if is_float_map(paths[0]):
+        _show(_of_float_map(paths[0], model), as_json, _print_facts)
+        return
     opened = ExrFile.open(paths[0])
+    if len(opened.views) > 1:
+        chosen = {VIEW: opened.views[0], **chosen}
     try:
         facts = _collect(paths, model, chosen)
     except InputError:
@@ -94,7 +105,7 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
     from stillray.io.channels.roles import find_layers
     from stillray.io.exr.read_write import ExrFile, read_exr, require_color
     from stillray.io.exr.samples import find_samples
-    from stillray.pipeline.denoiser import Denoiser
+    from stillray.io.exr.views import VIEW
 
     path = paths[0]
     opened = ExrFile.of_layers(path, chosen)
@@ -104,14 +115,12 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
         matches = [_with_proof(match, detection) for match in matches]
     frame = read_exr(path, layers=chosen, convention=detection.convention if detection else None)
     part = opened.container.parts[opened.channels[matches[0].channels[0]][0]]
-    with Denoiser(model) as denoiser:
-        stages, model_name = denoiser.stages(frame), denoiser.model.name
-        told = denoiser.model.spec.knows_samples
-    height, width = frame.shape
+    told, stages = _stages(frame, model)
     return {
         "file": str(path),
-        "height": height,
-        "width": width,
+        "height": frame.shape[0],
+        "width": frame.shape[1],
+        "view": chosen.get(VIEW),
         "data_window": list(part.data),
         "display_window": list(part.display),
         **_stored(opened),
@@ -129,11 +138,65 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
         "samples": _samples(frame, find_samples(opened, matches, chosen)) | {"told": told},
         "color_pixels": _count_pixels(frame.color),
         "warnings": _warnings(frame.normal),
-        "model": model_name,
-        "stages": [
-            {"name": stage.name, "runs": stage.runs, "reason": stage.reason} for stage in stages
-        ],
+        **stages,
     }
+
+
+def _of_float_map(path: Path, model: str) -> dict[str, Any]:
+    from stillray.io.exr.samples import SampleSource
+    from stillray.io.frame_file import read_frame
+    from stillray.io.image_file import read_image
+
+    frame = read_frame(path, {})
+    channels = ["R", "G", "B"] if read_image(path, "color").shape[2] == 3 else ["Y"]
+    kind = "half" if path.suffix.lower() == ".phm" else "float"
+    told, stages = _stages(frame, model)
+    window = [0, 0, frame.shape[1], frame.shape[0]]
+    return {
+        "file": str(path),
+        "height": frame.shape[0],
+        "width": frame.shape[1],
+        "view": None,
+        "data_window": window,
+        "display_window": window,
+        "parts": [
+            {
+                "name": "",
+                "compression": "none",
+                "tile": None,
+                "channels": dict.fromkeys(channels, kind),
+            }
+        ],
+        "channels": channels,
+        "views": [],
+        "layers": [
+            {
+                "role": "color",
+                "channels": channels,
+                "signs": [1.0] * len(channels),
+                "naming": "float map",
+                "used": True,
+                "note": "",
+            }
+        ],
+        "samples": _samples(frame, SampleSource()) | {"told": told},
+        "color_pixels": _count_pixels(frame.color),
+        "warnings": [],
+        **stages,
+    }
+
+
+def _stages(frame: Frame, model: str) -> tuple[bool, dict[str, Any]]:
+    """Whether the model is told of samples; its name, and its stages for a first frame."""
+    from stillray.pipeline.denoiser import Denoiser
+
+    with Denoiser(model) as denoiser:
+        stages = [
+            {"name": stage.name, "runs": stage.runs, "reason": stage.reason}
+            for stage in denoiser.stages(frame)
+        ]
+        told = denoiser.model.spec.knows_samples
+        return told, {"model": denoiser.model.name, "stages": stages}
 
 
 def _with_proof(match: LayerMatch, detection: Detection) -> LayerMatch:
@@ -208,6 +271,11 @@ def _print_facts(facts: dict[str, Any]) -> None:
     pixels = facts["color_pixels"]
     out.print(f"{facts['file']}: {facts['width']} x {facts['height']} pixels")
     out.print(_describe(facts["parts"]))
+    if len(facts["views"]) > 1:
+        out.print(
+            f"views: {', '.join(facts['views'])}; this is {facts['view']}; all are denoised, each "
+            "with a history of its own, unless --view names one"
+        )
     for name in ("data_window", "display_window"):
         x, y, width, height = facts[name]
         out.print(f"{name.replace('_', ' ')}: {width} x {height} at ({x}, {y})")

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from stillray.errors import InputError
-from stillray.oidn.files import check_suffix, read_image, write_image
+from stillray.io.image_file import check_suffix, read_image, write_image
 from stillray.oidn.filtering import FILTER_TYPES, Parameters, filtered
 from stillray.pipeline.denoiser import Denoiser
 from stillray.version import __version__

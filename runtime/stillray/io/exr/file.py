@@ -113,9 +113,8 @@ class ExrFile:
         file = cls.open(path, headers_only=headers_only, view=(layers or {}).get(VIEW))
         if len(file.views) > 1 and VIEW not in (layers or {}):
             raise InputError(
-                f"{path}: holds the views {', '.join(file.views)}: --view {file.views[0]} denoises "
-                "that one and keeps all others as they are; then the same with the result as input "
-                f"and --view {file.views[1]}"
+                f"{path}: holds the views {', '.join(file.views)}, of which one must be chosen, as "
+                f"view={file.views[0]} among the layers or --view {file.views[0]}"
             )
         return file
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from stillray.io.exr.views import VIEW
 from stillray.version import __version__
 
 __all__ = [
+    "CleanView",
     "ExrFile",
     "atomic_path",
     "check_layer",
@@ -39,6 +41,7 @@ __all__ = [
     "require_color",
     "write_channels",
     "write_exr",
+    "write_views",
 ]
 
 _MOST_LISTED = 40  # channels in a message
@@ -321,18 +324,90 @@ def write_exr(
     tags = {"stillray:version": __version__, **(attributes or {})}
     if like is not None and not only_color:
         source = ExrFile.of_layers(like, layers)
-        color = [m for m in find_layers(source.channels, layers) if m.role == "color"]
-        if color and _same_size(source.window(color[0].writes[0]), image):
-            replaced = {
-                source.channels[name]: image[..., i] for i, name in enumerate(color[0].writes)
-            }
-            if lights:
-                replaced |= _replaced_lights(source, color[0], lights, layers)
+        replaced = _replaced(source, CleanView(layers=layers, image=image, lights=lights or {}))
+        if replaced:
             with atomic_path(path) as temporary:
                 return rewrite(source.path, source.container, temporary, replaced, tags)
     return write_channels(
         path, {name: image[..., i] for i, name in enumerate("RGB")}, like=like, attributes=tags
     )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CleanView:
+    """The clean picture of one view of a file.
+
+    Attributes
+    ----------
+    layers
+        As the view was read with, see `read_exr`.
+    image : (h, w, 3) float
+        Scene-linear radiance, in the data window of the view's color.
+    lights
+        Filtered layers by name, from `read_lights`.
+    """
+
+    layers: Mapping[str, str] | None
+    image: np.ndarray
+    lights: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+
+def write_views(
+    path: str | os.PathLike[str],
+    views: Sequence[CleanView],
+    *,
+    like: str | os.PathLike[str],
+    attributes: Mapping[str, str] | None = None,
+) -> int:
+    """Write the denoised pictures of several views into one file, complete or not at all.
+
+    Parameters
+    ----------
+    path
+        Where to write.
+    views
+        What replaces the color of each.
+    like
+        The source, whose structure is kept as by `write_exr`.
+    attributes
+        As for `write_exr`.
+
+    Returns
+    -------
+    int
+        How many values were clamped to the half range.
+
+    Raises
+    ------
+    InputError
+        A picture has not the size of its view, or a file cannot be read or written.
+    """
+    path = Path(path)
+    tags = {"stillray:version": __version__, **(attributes or {})}
+    replaced: dict[tuple[int, str], np.ndarray] = {}
+    source = ExrFile.open(like)
+    for view in views:
+        source = ExrFile.of_layers(like, view.layers)
+        planes = _replaced(source, view)
+        if not planes:
+            raise InputError(
+                f"{path}: each view's picture must have the size of its color in {like}, got "
+                f"{view.image.shape[:2]}"
+            )
+        replaced |= planes
+    with atomic_path(path) as temporary:
+        return rewrite(source.path, source.container, temporary, replaced, tags)
+
+
+def _replaced(source: ExrFile, view: CleanView) -> dict[tuple[int, str], np.ndarray]:
+    """Part and channel to plane; nothing where the picture has not the size of the color."""
+    color = [m for m in find_layers(source.channels, view.layers) if m.role == "color"]
+    if not color or not _same_size(source.window(color[0].writes[0]), view.image):
+        return {}
+    planes = {source.channels[name]: view.image[..., i] for i, name in enumerate(color[0].writes)}
+    if view.lights:
+        planes |= _replaced_lights(source, color[0], view.lights, view.layers)
+    return planes
 
 
 def expected_changes(

@@ -1,7 +1,8 @@
-"""Images in files, as `oidnDenoise` takes and gives them: PFM, PHM, and EXR."""
+"""One image in a file: PFM, PHM, or EXR."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,11 @@ from stillray.io.pfm import SUFFIXES as FLOAT_MAPS
 from stillray.io.pfm import read_pfm, write_pfm
 
 SUFFIXES = (*FLOAT_MAPS, ".exr")
+
+
+def is_float_map(path: str | os.PathLike[str]) -> bool:
+    """Whether a file is named as a PFM or PHM is."""
+    return Path(path).suffix.lower() in FLOAT_MAPS
 
 
 def check_suffix(path: Path) -> Path:
@@ -30,14 +36,22 @@ def check_suffix(path: Path) -> Path:
 
 
 def read_image(path: Path, role: str) -> np.ndarray:
-    """Read ``"color"``, ``"albedo"`` or ``"normal"`` from a file: ``(h, w, 3 or 1)`` float32.
+    """Read one buffer from a file: ``(h, w, 3 or 1)`` float32, ``(h, w)`` depth of EXR.
+
+    Parameters
+    ----------
+    path
+        A float map, or an EXR file that holds the buffer under a known name or as plain R, G, B.
+    role
+        ``"color"``, ``"albedo"``, ``"normal"``, ``"depth"`` or ``"motion"``; a float map holds
+        whatever it is taken for.
 
     Raises
     ------
     InputError
         The file cannot be read, or holds no such image.
     """
-    if check_suffix(path).suffix.lower() in FLOAT_MAPS:
+    if is_float_map(check_suffix(path)):
         return read_pfm(path)
     if role == "color":
         return read_exr(path).color
@@ -56,7 +70,7 @@ def write_image(path: Path, image: np.ndarray, *, like: Path | None = None) -> N
     InputError
         The file cannot be written.
     """
-    if check_suffix(path).suffix.lower() in FLOAT_MAPS:
+    if is_float_map(check_suffix(path)):
         write_pfm(path, image)
         return
     source = like if like is not None and like.suffix.lower() == ".exr" else None
