@@ -16,6 +16,8 @@ _CHANNELS = {
     "motion": 2,
     "color_b": 3,
     "samples": 1,
+    "roughness": 1,
+    "specular_albedo": 3,
 }
 #: Samples a pixel that a frame may have; more is taken for a mistake.
 MOST_SAMPLES = 1e9
@@ -44,7 +46,12 @@ class Frame:
     color_b : (h, w, 3), optional
         A second, independent estimate of color.
     jitter : (2,), optional
-        Sub-pixel camera offset in pixels.
+        Where samples lie in their pixels, of which the camera's sub-pixel offset is the cause:
+        pixels from the centre, x right and y down, in [-1, 1]. Models that enlarge look at it.
+    roughness : (h, w), optional
+        GGX alpha in [0, 1]: 0 smooth, 1 matte.
+    specular_albedo : (h, w, 3), optional
+        Part of the light that glossy and smooth lobes send on, in [0, 1].
     samples : number or (h, w), optional
         Samples a pixel that color is the mean of: one number above 0, or a map where they differ,
         as with adaptive sampling. A pixel of 0 samples carries nothing: its color is not looked
@@ -64,6 +71,8 @@ class Frame:
     color_b: np.ndarray | None = None
     jitter: np.ndarray | None = None
     samples: float | np.ndarray | None = None
+    roughness: np.ndarray | None = None
+    specular_albedo: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         color = _as_float32("color", self.color)
@@ -90,6 +99,8 @@ class Frame:
             jitter = _as_float32("jitter", self.jitter)
             if jitter.shape != (2,):
                 raise InputError(f"jitter must have shape (2,), got {jitter.shape}")
+            if not (np.abs(jitter) <= 1).all():  # NaN is not
+                raise InputError(f"jitter must be -1 to 1 pixels, got {jitter.tolist()}")
             object.__setattr__(self, "jitter", jitter)
 
     @property

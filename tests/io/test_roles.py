@@ -26,6 +26,14 @@ def test_own_layout_gives_every_role():
     assert found["motion"].signs == (1.0, 1.0)
 
 
+def test_guides_of_upscaling_are_found():
+    own = roles([*"RGB", "roughness.Y", *layer("specular_albedo", "RGB")])
+    assert own["roughness"].channels == ("roughness.Y",)
+    assert own["specular_albedo"].channels[0] == "specular_albedo.R"
+    theirs = roles([*blender("ViewLayer"), *layer("ViewLayer.Glossy Color", "RGB")])
+    assert theirs["specular_albedo"].channels[0] == "ViewLayer.Glossy Color.R"
+
+
 @pytest.mark.parametrize(
     ("names", "expected"),
     [

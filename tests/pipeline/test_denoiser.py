@@ -328,6 +328,9 @@ def test_moving_frames_without_motion_use_no_history(denoiser):
             r"depth must have shape \(4, 5\) like color, got \(4, 5, 2\)",
         ),
         ({"color": np.ones((4, 5, 3)), "jitter": np.ones(3)}, "jitter must have shape"),
+        ({"color": np.ones((4, 5, 3)), "jitter": np.full(2, 1.5)}, "jitter must be -1 to 1"),
+        ({"color": np.ones((4, 5, 3)), "roughness": np.ones((4, 5, 2))}, "roughness must have"),
+        ({"color": np.ones((4, 5, 3)), "specular_albedo": np.ones((4, 5))}, "specular_albedo must"),
         (
             {"color": np.ones((4, 5, 3)), "samples": np.ones((5, 4))},
             r"samples must have shape \(4, 5\) like color, got \(5, 4\)",

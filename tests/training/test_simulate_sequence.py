@@ -209,6 +209,7 @@ def test_buffers_on_demand_are_written_only_on_demand(mi, rendered, tmp_path):
         second_color=True,
         jitter=True,
         reference_scale=2,
+        reference_features=4,
         guides=("roughness", "specular_albedo"),
     )
     stage = stage_of(
@@ -227,7 +228,15 @@ def test_buffers_on_demand_are_written_only_on_demand(mi, rendered, tmp_path):
     plain = set(read_channels(rendered / "frame_0000.exr"))
     extra = {"roughness.Y", *(f"{n}.{c}" for n in ("color_b", "specular_albedo") for c in "RGB")}
     assert more - plain == extra
-    assert read_channels(tmp_path / "more" / "ref_0000.exr")["R"].shape == (48, 64)
+    reference = read_channels(tmp_path / "more" / "ref_0000.exr")
+    assert {plane.shape for plane in reference.values()} == {(48, 64)}
+    assert {"albedo.R", "normal.X", "roughness.Y", "specular_albedo.R"} <= set(reference)
+    # features of the reference are those of the frame, seen more closely
+    frame = read_channels(tmp_path / "more" / "frame_0000.exr")
+    pooled = reference["albedo.R"].reshape(24, 2, 32, 2).mean(axis=(1, 3))
+    assert np.median(np.abs(pooled - frame["albedo.R"])) < 0.02
+    jitter = read_exr(tmp_path / "more" / "frame_0000.exr").jitter
+    np.testing.assert_allclose(jitter, [0.0, 1 / 3 - 0.5], atol=1e-6)
     record = json.loads((tmp_path / "more" / "sequence.json").read_text())
     # Halton 2, 3 at index 1, shifted to [-0.5, 0.5)
     np.testing.assert_allclose(record["cameras"][0]["jitter"], [0.0, 1 / 3 - 0.5])
@@ -284,9 +293,22 @@ def test_jitter_shifts_what_the_pixels_see(mi, stage):
     assert same.mean() < unshifted.mean()
 
 
+def test_samples_that_do_not_spread_lie_at_one_place_of_their_pixels(mi, stage):
+    # whatever the random numbers are, features of one sample a pixel are then the same
+    first, second = (
+        buffers.render_noisy(stage, replace(moment(), spread=0.0), spp=1, seed=seed)
+        for seed in (1, 2)
+    )
+    np.testing.assert_allclose(first["depth"], second["depth"], rtol=1e-5)
+    spread = buffers.render_noisy(stage, moment(), spp=1, seed=2)
+    assert (spread["depth"] != first["depth"]).any()
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"spread": 1.5}, "spread must be 0 to 1, got 1.5"),
+        ({"reference_features": -1}, "reference_features must be 0 or more, got -1"),
         ({"spp": 0}, "spp must be 1 or more, got 0"),
         ({"frames": 2, "references": 3}, r"references must be 0 to frames \(2\), got 3"),
         ({"frames": 2, "first": 2}, r"first must be 0 to frames - 1 \(1\), got 2"),

@@ -46,7 +46,10 @@ _MAX_KERNELS = 16
 _MAX_WINDOW = 127  # pixels of a reconstruction kernel
 _MAX_LOCAL_SIZE = 255  # pixels
 _MAX_COUNT = 10**9  # steps and the like, of training
-BUFFERS = ("color", "albedo", "normal", "depth", "motion", "color_b", "jitter")
+BUFFERS = (
+    "color", "albedo", "normal", "depth", "motion", "color_b", "jitter",
+    "roughness", "specular_albedo",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -95,6 +95,12 @@ def simulate(
     second_color: Annotated[bool, typer.Option(help="An independent second colour.")] = False,
     guides: Annotated[str, typer.Option(help="roughness,specular_albedo")] = "",
     jitter: Annotated[bool, typer.Option(help="Sub-pixel offset of each frame.")] = False,
+    spread: Annotated[
+        float, typer.Option(help="Part of their pixel that samples of frames fill; 0: its centre.")
+    ] = _DEFAULT.spread,
+    reference_features: Annotated[
+        int, typer.Option(help="Samples of albedo and normal in references; 0: none.")
+    ] = _DEFAULT.reference_features,
     variant: Annotated[str | None, typer.Option(help="Mitsuba variant; default: chosen.")] = None,
     workers: Annotated[
         int | None, typer.Option(help="Local processes; default: as cores and memory allow.")
@@ -122,7 +128,8 @@ def simulate(
             reference_spp=reference_spp, references=references, depth=depth,
             reference_scale=reference_scale, move=move, speed=speed, origin=origin, target=target,
             fov=fov, cameras=str(cameras) if cameras else None, second_color=second_color,
-            guides=_list(guides), jitter=jitter, assets=str(assets) if assets else None,
+            guides=_list(guides), jitter=jitter, spread=spread,
+            reference_features=reference_features, assets=str(assets) if assets else None,
         )  # fmt: skip
         # seed by seed through all scenes: a run that is stopped early still holds every scene
         jobs = [

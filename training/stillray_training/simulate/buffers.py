@@ -8,7 +8,14 @@ import numpy as np
 
 from stillray_training.simulate.paths import CameraPath
 from stillray_training.simulate.stage import Stage
-from stillray_training.simulate.trace import Samples, Shot, first_hits, launches, radiance
+from stillray_training.simulate.trace import (
+    Samples,
+    Shot,
+    first_hits,
+    launches,
+    radiance,
+    surfaces,
+)
 
 SHUTTER_STRATA = 8  # of a noisy frame under motion blur
 REFERENCE_STRATA = 32  # of a reference under motion blur
@@ -23,6 +30,7 @@ class Moment:
     focus: float  # metres
     jitter: np.ndarray  # (2,) pixels, x right and y down
     clamp: float | None = None  # radiance of one contribution of indirect light; None: any
+    spread: float = 1.0  # part of their pixel that samples of noisy frames fill, 0 to 1
 
 
 def render_noisy(stage: Stage, moment: Moment, *, spp: int, seed: int) -> dict[str, np.ndarray]:
@@ -92,6 +100,7 @@ def _open_shutter(stage: Stage, moment: Moment, time: float) -> Shot:
         previous=moment.path(time - 1),
         jitter=moment.jitter,
         clamp=moment.clamp,
+        spread=moment.spread,
     )
 
 
@@ -117,6 +126,19 @@ def render_reference(stage: Stage, moment: Moment, *, spp: int, seed: int) -> np
     return np.asarray(total, np.float32)
 
 
+def render_reference_features(
+    stage: Stage, moment: Moment, *, spp: int, seed: int
+) -> dict[str, np.ndarray]:
+    """Albedo, normal and guides at the reference scale, means of many samples.
+
+    Without motion blur: all samples are of the middle of the frame.
+    """
+    stage.pose(float(moment.frame))
+    stage.aim(moment.path(float(moment.frame)), moment.focus)
+    scale = stage.plan.wants.reference_scale
+    return _surfaces(surfaces(stage, spp, seed), stage.height * scale, stage.width * scale)
+
+
 def shutter_times(frame: int, shutter: float, strata: int, rng: np.random.Generator) -> np.ndarray:
     """One random time in each stratum of the open shutter, which is centred on the frame."""
     if not shutter:
@@ -127,17 +149,28 @@ def shutter_times(frame: int, shutter: float, strata: int, rng: np.random.Genera
 def _resolve(means: Samples, height: int, width: int) -> dict[str, np.ndarray]:
     """Layers from the means of each pixel's samples; depth and normal over those that hit."""
     hits = np.maximum(means["hit"], 1e-9)
+    lit = {
+        "color": means["color"],
+        "depth": means["depth"] / hits,
+        "motion": means["motion"],
+    }
+    return {**_shaped(lit, height, width), **_surfaces(means, height, width)}
+
+
+def _surfaces(means: Samples, height: int, width: int) -> dict[str, np.ndarray]:
+    """Layers of what the first surfaces are."""
     length = np.linalg.norm(means["normal"], axis=-1, keepdims=True)
     layers = {
-        "color": means["color"],
         "albedo": np.clip(means["albedo"], 0, 1),
         "normal": np.divide(
             means["normal"], length, out=np.zeros_like(means["normal"]), where=length > 1e-6
         ),
-        "depth": means["depth"] / hits,
-        "motion": means["motion"],
     }
     layers.update({name: means[name] for name in ("roughness", "specular_albedo") if name in means})
+    return _shaped(layers, height, width)
+
+
+def _shaped(layers: Samples, height: int, width: int) -> dict[str, np.ndarray]:
     return {
         name: np.asarray(values, np.float32).reshape(height, width, *values.shape[1:])
         for name, values in layers.items()

@@ -14,6 +14,7 @@ import numpy as np
 
 from stillray.compare.display import DISPLAY_MEDIAN
 from stillray.errors import InputError
+from stillray.io.exr.jitter import JITTER_ATTRIBUTE, jitter_text
 from stillray.io.exr.read_write import atomic_path, write_channels
 from stillray_training.simulate import buffers
 from stillray_training.simulate.assets import Library
@@ -65,7 +66,11 @@ class SequenceOptions:
     move: str | None = None  # of `paths.MOVES`; None: drawn
     second_color: bool = False  # an independent second colour, color_b
     guides: tuple[str, ...] = ()  # further features: roughness, specular_albedo
+    reference_features: int = 0  # samples of the references' own features, 0: they have none
     jitter: bool = False  # sub-pixel offset of the image plane, Halton 2 and 3
+    # Part of their pixel that samples of noisy frames fill: 1 as offline renderers do, 0 all at its
+    # jittered centre as real-time renderers do, whose samples then say where they lie.
+    spread: float = 1.0
     origin: tuple[float, float, float] | None = None  # of the camera, metres; None: drawn
     target: tuple[float, float, float] | None = None  # what the camera at origin looks at
     fov: float = 60.0  # horizontal field of view of the camera at origin, degrees, 1 to 170
@@ -77,6 +82,10 @@ class SequenceOptions:
         for name in ("frames", "height", "width", "spp", "reference_spp"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be 1 or more, got {getattr(self, name)}")
+        if not 0 <= self.spread <= 1:
+            raise InputError(f"spread must be 0 to 1, got {self.spread}")
+        if self.reference_features < 0:
+            raise InputError(f"reference_features must be 0 or more, got {self.reference_features}")
         if any(count < 1 for count in self.blocks):
             raise InputError(f"blocks must be of 1 sample or more, got {self.blocks}")
         if self.clamp is not None and not 0 < self.clamp[0] <= self.clamp[-1]:
@@ -189,7 +198,12 @@ def render_sequence(
     clamp = _clamp(stage, options, last)
     for frame in range(options.first, options.frames):
         moment = buffers.Moment(
-            frame=frame, path=path, focus=focus, jitter=jitters[frame], clamp=clamp
+            frame=frame,
+            path=path,
+            focus=focus,
+            jitter=jitters[frame],
+            clamp=clamp,
+            spread=options.spread,
         )
         _render_frame(stage, folder, options, moment)
         on_frame()
@@ -249,7 +263,8 @@ def _render_frame(
         layers = buffers.render_noisy(stage, moment, spp=options.spp, seed=noisy)
         if options.second_color:
             layers["color_b"] = buffers.render_second(stage, moment, spp=options.spp, seed=second)
-        write(target, layers)
+        said = {JITTER_ATTRIBUTE: jitter_text(moment.jitter)} if options.jitter else None
+        write(target, layers, said)
     for index, (spp, seed) in enumerate(zip(extra, others, strict=True)):
         target = folder / f"block_{moment.frame:04d}_{index:02d}.exr"
         if not target.is_file():
@@ -257,7 +272,12 @@ def _render_frame(
     target = folder / f"ref_{moment.frame:04d}.exr"
     if moment.frame >= options.frames - options.references and not target.is_file():
         reference = buffers.render_reference(stage, moment, spp=options.reference_spp, seed=exact)
-        write(target, {"color": reference})
+        layers = {"color": reference}
+        if options.reference_features:
+            layers |= buffers.render_reference_features(
+                stage, moment, spp=options.reference_features, seed=exact + 1
+            )
+        write(target, layers)
 
 
 def _clamp(stage: Stage, options: SequenceOptions, moment: buffers.Moment) -> float | None:
@@ -273,14 +293,17 @@ def _clamp(stage: Stage, options: SequenceOptions, moment: buffers.Moment) -> fl
     return float(np.exp(drawn) / DISPLAY_MEDIAN * np.median(lit)) if lit.size else None
 
 
-def write(path: Path, layers: dict[str, np.ndarray]) -> None:
+def write(
+    path: Path, layers: dict[str, np.ndarray], attributes: dict[str, str] | None = None
+) -> None:
     """Write layers under their channel names, complete or not at all."""
     channels = {}
     for layer, names in _LAYERS.items():
         if layer in layers:
             planes = np.atleast_3d(layers[layer])
             channels.update({name: planes[..., i] for i, name in enumerate(names)})
-    write_channels(path, channels, formats={name: "float" for name in _FULL if name in channels})
+    formats = {name: "float" for name in _FULL if name in channels}
+    write_channels(path, channels, formats=formats, attributes=attributes)
 
 
 def _sweep(folder: Path) -> None:

@@ -6,7 +6,7 @@ lens point, shutter time and first hit are known, and no number is drawn that no
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +32,7 @@ class Shot:
     previous: Camera  # one frame before
     jitter: np.ndarray  # (2,) offset of all samples in pixels, x right and y down
     clamp: float | None = None  # see `relay.relay_radiance`; None: indirect light as it is
+    spread: float = 1.0  # part of their pixel that samples fill, around its centre, 0 to 1
 
 
 def first_hits(stage: Stage, shot: Shot, pixels: np.ndarray, seed: int, each: int = 1) -> Samples:
@@ -57,6 +58,51 @@ def first_hits(stage: Stage, shot: Shot, pixels: np.ndarray, seed: int, each: in
         ``depth`` ``(n,)`` camera z and 0 without a hit, ``motion`` ``(n, 2)`` in pixels, ``hit``
         ``(n,)``, and the guides that the plan wants.
     """
+    return _sums(
+        stage, lambda sampler, number: _sample(stage, shot, sampler, number), pixels, seed, each
+    )
+
+
+def surfaces(stage: Stage, spp: int, seed: int) -> Samples:
+    """Means of what samples of the reference sensor see first, without any light.
+
+    Parameters
+    ----------
+    stage
+        Posed and aimed.
+    spp
+        Samples a pixel, 1 or more.
+    seed
+        The same seed gives the same samples.
+
+    Returns
+    -------
+    dict
+        ``hit`` ``(n,)``, ``albedo`` and ``normal`` ``(n, 3)`` and the guides that the plan wants,
+        of all pixels, row by row.
+    """
+    sensor = stage.reference_sensor
+    width, height = (int(v) for v in np.array(sensor.film().size()))
+    pixels, sums = np.arange(height * width), Samples()
+
+    def see(sampler: Any, number: Any) -> dict[str, Any]:
+        ray, _ = _camera_ray(stage, sampler, sensor, number, np.zeros(2))
+        return _surface(stage, sampler, ray)[0]
+
+    for index, share in enumerate(launches(spp, height * width)):
+        for name, values in _sums(stage, see, pixels, seed + index, share).items():
+            sums[name] = sums[name] + values if name in sums else values
+    return {name: values / spp for name, values in sums.items()}
+
+
+def _sums(
+    stage: Stage,
+    see: Callable[[Any, Any], dict[str, Any]],
+    pixels: np.ndarray,
+    seed: int,
+    each: int,
+) -> Samples:
+    """Sums over ``each`` samples of pixels of what ``see`` gives for a sampler and a number."""
     sampler = stage.mi.load_dict({"type": "independent"})
     if "scalar" not in stage.mi.variant():
         import drjit as dr
@@ -64,11 +110,11 @@ def first_hits(stage: Stage, shot: Shot, pixels: np.ndarray, seed: int, each: in
         sampler.seed(seed, len(pixels) * each)
         # repeated here: in the kernel it would be another one for every number of samples
         number = stage.mi.UInt32(np.repeat(pixels.astype(np.uint32), each))
-        seen = _sample(stage, shot, sampler, number)
+        seen = see(sampler, number)
         dr.eval(seen)  # before the sums: each would trace all of it again
         return {name: _planar(value, each) for name, value in seen.items()}
     sampler.seed(seed)
-    rows = [_sample(stage, shot, sampler, int(number)) for number in np.repeat(pixels, each)]
+    rows = [see(sampler, int(number)) for number in np.repeat(pixels, each)]
     values = {name: np.array([np.array(row[name], np.float64) for row in rows]) for name in rows[0]}
     return {
         name: value.reshape(len(pixels), each, *value.shape[1:]).sum(axis=1)
@@ -132,23 +178,28 @@ def _radiance_jit(
 
 def _sample(stage: Stage, shot: Shot, sampler: Any, number: Any) -> dict[str, Any]:
     """One sample (scalar variants) or a wavefront of them: colour and first hit."""
-    ray, weight = _camera_ray(stage, sampler, stage.sensor, number, shot.jitter)
+    ray, weight = _camera_ray(stage, sampler, stage.sensor, number, shot.jitter, shot.spread)
     color = _light(stage, sampler, ray, weight, shot.clamp)
     return {"color": color, "direction": ray.d, **_features(stage, sampler, ray, shot)}
 
 
 def _camera_ray(
-    stage: Stage, sampler: Any, sensor: Any, number: Any, jitter: np.ndarray
+    stage: Stage,
+    sampler: Any,
+    sensor: Any,
+    number: Any,
+    jitter: np.ndarray,
+    spread: float = 1.0,
 ) -> tuple[Any, Any]:
     """Rays of camera samples in the given pixels, and what their radiance is multiplied by."""
     mi = stage.mi
     width, height = (int(v) for v in np.array(sensor.film().size()))
     row = number // width
     inside = sampler.next_2d()
-    shift = _vector(mi, np.array([*jitter, 0.0]))
+    shift = _vector(mi, np.array([*(jitter + 0.5 * (1 - spread)), spread]))
     place = mi.Point2f(
-        (mi.Float(number - row * width) + inside[0] + shift[0]) / width,
-        (mi.Float(row) + inside[1] + shift[1]) / height,
+        (mi.Float(number - row * width) + shift[2] * inside[0] + shift[0]) / width,
+        (mi.Float(row) + shift[2] * inside[1] + shift[1]) / height,
     )
     lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5, 0.5)
     ray, weight = sensor.sample_ray(0.0, 0.5, place, lens)
@@ -168,6 +219,13 @@ def _light(stage: Stage, sampler: Any, ray: Any, weight: Any, clamp: float | Non
 
 
 def _features(stage: Stage, sampler: Any, ray: Any, shot: Shot) -> dict[str, Any]:
+    seen, si, hit = _surface(stage, sampler, ray)
+    seen.update(_motion(stage, shot, ray, si, hit))
+    return seen
+
+
+def _surface(stage: Stage, sampler: Any, ray: Any) -> tuple[dict[str, Any], Any, Any]:
+    """What is known of the first surface alone; where it was met, and whether."""
     import drjit as dr
 
     guides = stage.plan.wants.guides
@@ -190,12 +248,11 @@ def _features(stage: Stage, sampler: Any, ray: Any, shot: Shot) -> dict[str, Any
     else:
         bsdf = si.bsdf(ray)
         seen["albedo"] = dr.select(hit, bsdf.eval_diffuse_reflectance(si, hit), 0)
-    seen.update(_motion(stage, shot, ray, si, hit))
     if "roughness" in guides:
         seen["roughness"] = _pick(stage, shape, hit, stage.roughness(), si, 1.0)
     if "specular_albedo" in guides:
         seen["specular_albedo"] = _specular_albedo(mi, sampler, bsdf, si, hit)
-    return seen
+    return seen, si, hit
 
 
 def _choose(mask: Any, value: Any, other: Any) -> Any:

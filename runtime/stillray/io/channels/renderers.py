@@ -10,7 +10,9 @@ from typing import Any
 
 from stillray.io.channels.motion_convention import MotionConvention
 
-ROLES = ("color", "albedo", "normal", "depth", "motion", "samples")
+ROLES = (
+    "color", "albedo", "normal", "depth", "motion", "samples", "roughness", "specular_albedo",
+)  # fmt: skip
 
 _RENDERER_KEYS = {"name", "prefixed", "source", *ROLES}
 _LAYER_KEYS = {

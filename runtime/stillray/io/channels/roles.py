@@ -32,7 +32,10 @@ __all__ = [
 
 _UNPROVEN = "sign and units of this motion are not verified: not used unless two frames prove them"
 _SHORTEST_LOOSE_NAME = 3  # letters: shorter names, N and Z, must match exactly
-_COUNTS = {"color": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "samples": 1}
+_COUNTS = {
+    "color": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "samples": 1,
+    "roughness": 1, "specular_albedo": 3,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class LayerMatch:
     Attributes
     ----------
     role
-        ``"color"``, ``"albedo"``, ``"normal"``, ``"depth"``, ``"motion"`` or ``"samples"``.
+        One of `ROLES`.
     channels
         Channel names in the order of the buffer's axes.
     renderer

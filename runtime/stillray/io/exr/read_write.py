@@ -21,6 +21,7 @@ from stillray.io.channels.motion_convention import MotionConvention
 from stillray.io.channels.roles import LayerMatch, find_alone, find_layers, find_lights, gather
 from stillray.io.exr.container import Window
 from stillray.io.exr.file import Channels, ExrFile
+from stillray.io.exr.jitter import find_jitter
 from stillray.io.exr.openimageio import checked_container, opened, openimageio, reason
 from stillray.io.exr.rewrite import rewrite, unkept
 from stillray.io.exr.samples import find_samples
@@ -130,6 +131,7 @@ def read_exr(
             raise InputError(f"{file.path}: {error}; samples=none leaves the layer out") from None
     else:
         buffers["samples"] = source.number if samples is None else samples
+    buffers["jitter"] = find_jitter(file)
     return Frame(**buffers)
 
 
