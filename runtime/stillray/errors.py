@@ -6,8 +6,12 @@ from __future__ import annotations
 class InputError(ValueError):
     """Bad input: the message names the argument, the rule it breaks and the value it had.
 
-    The command line turns it into one line on standard error and exit code 2.
+    The command line turns it into one line on standard error and exit code 2. The message is one
+    line of `printable` text, whatever names from files stand in it.
     """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
 
 
 def printable(text: str) -> str:

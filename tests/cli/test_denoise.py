@@ -210,3 +210,13 @@ def test_memory_that_cannot_hold_a_frame_is_refused_and_enough_changes_nothing(s
     # a run that was short of memory need not do its frames again with more of it, or less
     assert main([*command, "--resume"]) == 0
     assert capsys.readouterr().out == "3 frames done already, nothing to do\n"
+
+
+def test_a_files_names_reach_the_terminal_as_text(shot, capsys):
+    planes = dict.fromkeys(("R", "G", "B", "\x1b[31mred"), np.ones((HEIGHT, WIDTH), np.float32))
+    write_channels(shot / "odd.exr", planes)
+    assert main(["info", "odd.exr", *FAST]) == 0
+    assert main(["info", "odd.exr", "--layer", "color=none", *FAST]) == 2
+    said = "".join(capsys.readouterr())
+    assert "\x1b" not in said
+    assert said.count(r"\x1b[31mred") == 3

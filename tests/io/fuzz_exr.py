@@ -1,12 +1,15 @@
-"""Broken EXR files, one after the other: ``python fuzz_exr.py SEED COUNT FOLDER``.
+"""Odd and broken EXR files, one after the other: ``python fuzz_exr.py SEED COUNT FOLDER``.
 
 Run as a program of its own, so that a crash inside a C++ library is seen by the test that starts
-it and cannot take the test run with it. Each file must be read whole, or refused in one line.
+it and cannot take the test run with it. Each file must be read in all its views and written again,
+or be refused in one line, in 30 seconds and 2 GiB. Half of the files are whole ones with faults,
+a quarter odd ones as they are, a quarter odd ones with faults.
 """
 
 from __future__ import annotations
 
 import resource
+import signal
 import struct
 import sys
 from pathlib import Path
@@ -14,12 +17,18 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 
+sys.path.insert(0, str(Path(__file__).parents[2]))  # as a program it is no part of a package
+
+from stillray.batch.file_layout import CleanPicture, Layout
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_channels, read_exr, write_exr
+from stillray.io.exr.read_write import read_channels
+from tests.io.odd_exr import oddity
 
 BLENDER = Path(__file__).parents[1] / "data/blender/frame_0001.exr"
 # Address space of the process: libraries and their threads take a part, pixels must not take more.
-MOST_MEMORY = 3 * 2**30
+MOST_ADDRESSES = 3 * 2**30
+MOST_MEMORY = 2 * 2**30
+SECONDS = 30  # of processor time, a file
 EXTREMES = (0, 1, -1, 2**31 - 1, -(2**31), 10**9, 2**16, 255)
 
 
@@ -86,10 +95,13 @@ def mutated(data: bytes, rng: np.random.Generator) -> bytes:
 def attempt(path: Path, output: Path) -> bool:
     """Whether the file could be read; raises what is not an `InputError`."""
     try:
-        frame = read_exr(path)
-        assert frame.color.size > 0
-        write_exr(output, frame.color, like=path)
-        read_channels(output)
+        layout = Layout.of([path], aovs=())
+        views = layout.read(path, {}, None)
+        assert all(view.frame.color.size > 0 for view in views)
+        clean = [CleanPicture(view.frame.color, view.lights) for view in views]
+        layout.write(output, clean, like=path)
+        if not layout.views:
+            read_channels(output)
     except InputError as error:
         message = str(error)
         assert "\n" not in message, message
@@ -102,14 +114,19 @@ def main() -> None:
     seed, count, folder = int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3])
     whole = sources(folder)
     # set only now: what the libraries map at their start is not of interest
-    resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_ADDRESSES, MOST_ADDRESSES))
     path, output, read = folder / "broken.exr", folder / "out.exr", 0
     for number in range(count):
         rng = np.random.default_rng((seed, number))
-        path.write_bytes(mutated(whole[number % len(whole)], rng))
+        odd = number % 2 == 1
+        data = oddity(rng) if odd else whole[number // 2 % len(whole)]
+        path.write_bytes(data if number % 4 == 1 else mutated(data, rng))
         print(number, flush=True)  # the last one printed is the one that crashed
+        signal.setitimer(signal.ITIMER_PROF, SECONDS)  # ends the process, wherever it hangs
         with np.errstate(all="ignore"):
             read += attempt(path, output)
+        most = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        assert most < MOST_MEMORY, f"{most} bytes were taken"
     path.unlink()
     print(f"{read} of {count} read")
 

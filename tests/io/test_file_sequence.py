@@ -56,6 +56,9 @@ def test_expand_file_whose_own_name_holds_a_hash_is_plain(tmp_path):
         ("missing.exr", ["missing.exr", "no such file"]),
         ("shot.<frame>.exr", ["no such file", "written as ####", "not <frame>"]),
         ("wood.<UDIM>.exr", ["no such file", "not <UDIM>"]),
+        ("shot.{frame:04d}.exr", ["no such file", "not {frame:04d}"]),
+        ("shot.[1001-1009].exr", ["no file matches", "not [1001-1009]"]),
+        ("shot.%V.####.exr", ["no file matches", "files of each view by themselves"]),
         ("me@home$Fx.exr", ["me@home$Fx.exr: no such file"]),
         ("a_##_##.exr", ["a_##_##.exr", "one frame placeholder"]),
         ("", ["is a folder", "shot.####.exr"]),
@@ -178,3 +181,10 @@ def test_map_companions_takes_a_folder_or_a_glob(tmp_path):
     (tmp_path / "alb_02.exr").unlink()
     with pytest.raises(InputError, match=r"albedo must have a file for every frame.*s\.2\.exr"):
         map_companions(tmp_path / "alb*.exr", frames, name="albedo")
+
+
+def test_an_output_that_is_no_pattern_says_how_a_folder_is_made(tmp_path):
+    touch(tmp_path, "a.1.exr", "a.2.exr")
+    frames = expand(tmp_path / "a.#.exr")
+    with pytest.raises(InputError, match="or be a folder, got clean; a folder clean/ is made"):
+        map_companions("clean", frames, name="output")

@@ -290,11 +290,13 @@ def _bend_value(spec: dict[str, Any], rng: np.random.Generator) -> None:
 
 def _bend_graph(model: onnx.ModelProto, rng: np.random.Generator) -> None:
     graph = model.graph
+    if not graph.node or not graph.output:  # an earlier fault took all of them
+        return
     node = graph.node[int(rng.integers(len(graph.node)))]
     names = [n for other in graph.node for n in (*other.input, *other.output)]
     name = names[int(rng.integers(len(names)))]
     kind = rng.integers(8)
-    if kind == 0:
+    if kind == 0 and node.input:
         node.input[int(rng.integers(len(node.input)))] = name
     elif kind == 1:
         node.op_type = ("Relu", "Conv", "Add", "Loop", "Expand", "")[int(rng.integers(6))]

@@ -58,13 +58,13 @@ def show(
         for name in models or [info.name for info in list_models()]
         for option in model_options(name)
     ] + peer_options(choose_peers(peers))
-    if line := left_out(peers):
-        print(line, file=sys.stderr)
     found = measure(
         folder,
         options,
         progress=lambda scenes: track(scenes, "scenes", console=Console(stderr=True)),
     )
+    if line := left_out(peers):
+        print(line, file=sys.stderr)
     if plot is not None:
         from stillray_training.tradeoff_plot import draw_tradeoff
 

@@ -269,7 +269,7 @@ def _print_facts(facts: dict[str, Any]) -> None:
 
     out = console()
     pixels = facts["color_pixels"]
-    out.print(f"{facts['file']}: {facts['width']} x {facts['height']} pixels")
+    out.print(f"{printable(facts['file'])}: {facts['width']} x {facts['height']} pixels")
     out.print(_describe(facts["parts"]))
     if len(facts["views"]) > 1:
         out.print(
@@ -293,11 +293,12 @@ def _print_facts(facts: dict[str, Any]) -> None:
             for name, sign in zip(layer["channels"], layer["signs"], strict=True)
         ]
         used = "yes" if layer["used"] else "no"
-        layers.add_row(layer["role"], ", ".join(signed), layer["naming"], used, layer["note"])
+        channels, note = printable(", ".join(signed)), printable(layer["note"])
+        layers.add_row(layer["role"], channels, layer["naming"], used, note)
     out.print(layers)
     taken = {name for layer in facts["layers"] for name in layer["channels"]}
     rest = [name for name in facts["channels"] if name not in taken]
-    out.print(f"channels without a role: {', '.join(rest) or 'none'}")
+    out.print(f"channels without a role: {printable(', '.join(rest)) or 'none'}")
     out.print()
 
     stages = Table("stage", "runs", "why", box=None, pad_edge=False)

@@ -14,7 +14,7 @@ from stillray.io.frame_range import format_frames
 
 # ####, as many @ (two or more: one is part of many names), %04d, or $F4 as Houdini has it
 _PLACEHOLDER = re.compile(r"#+|@@+|%(?:0?([1-9]\d*))?d|\$F([1-9])?(?![A-Za-z0-9])")
-_OTHER_PLACEHOLDER = re.compile(r"<\w+>|\[#+\]|\{\w+\}|%V|%v")
+_OTHER_PLACEHOLDER = re.compile(r"<\w+>|\[#+\]|\$?\{\w+(?::\w+)?\}|\[\d+-\d+\]")
 _LAST_NUMBER = re.compile(r"(.*?)(\d+)(\D*)")  # digits right before the suffixes, if any
 
 
@@ -84,7 +84,7 @@ def expand(pattern: str | os.PathLike[str]) -> list[NumberedFile]:
         if (hit := matcher.fullmatch(name)) and (path.parent / name).is_file()
     ]
     if not found:
-        raise InputError(f"{path}: no file matches this pattern")
+        raise InputError(f"{path}: no file matches this pattern{_hint(path)}")
     return sorted(found)
 
 
@@ -201,7 +201,7 @@ def map_companions(
     if not has_placeholder(pattern):
         raise InputError(
             f"{name} must hold a frame placeholder such as #### for a sequence, "
-            f"or be a folder, got {pattern}{_hint(Path(pattern))}"
+            f"or be a folder, got {pattern}{_hint(Path(pattern)) or _as_folder(pattern)}"
         )
     return [numbered(pattern, frame.number) for frame in frames if frame.number is not None]
 
@@ -221,16 +221,23 @@ def refuse_overwriting(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
 
 def _hint(path: Path) -> str:
     """What to write instead of a placeholder of another program; may be empty."""
+    if re.search("%v", path.name, re.IGNORECASE):
+        return "; %V is not known here: denoise the files of each view by themselves"
     hit = _OTHER_PLACEHOLDER.search(path.name)
     if hit is None:
         return ""
     return f"; a frame's number is written as ####, %04d or $F4, not {hit[0]}"
 
 
+def _as_folder(pattern: str | os.PathLike[str]) -> str:
+    """What makes a folder of a name that is none yet; empty where it ends as a file's does."""
+    return "" if Path(pattern).suffix else f"; a folder {pattern}{os.sep} is made"
+
+
 def _expand_glob(path: Path) -> list[NumberedFile]:
     paths = [Path(name) for name in sorted(glob.glob(str(path))) if Path(name).is_file()]
     if not paths:
-        raise InputError(f"{path}: no file matches this pattern")
+        raise InputError(f"{path}: no file matches this pattern{_hint(path)}")
     if len(paths) == 1 and not _LAST_NUMBER.fullmatch(paths[0].name):
         return [NumberedFile(None, paths[0])]
     return number_files(paths)
