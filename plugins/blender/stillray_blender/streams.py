@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A denoiser with a history of its own for each scene, view layer and eye."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class Shown(NamedTuple):
+    """What a frame is a picture of: frames are accumulated where all but the number stays.
+
+    Attributes
+    ----------
+    scene, layer, view, camera
+        Names; the view's is empty where there is one eye.
+    """
+
+    scene: str
+    layer: str
+    view: str
+    camera: str
+
+
+@dataclass
+class _Stream:
+    denoiser: object
+    cuts: object
+    camera: str
+    last: int | None = None  # number of the frame that its history ends with
+
+
+class Streams:
+    """All that is remembered between frames; one network serves all."""
+
+    def __init__(self) -> None:
+        self._streams: dict[tuple, _Stream] = {}
+        self._kind: tuple = ()
+
+    def denoise(self, frame, shown: Shown, number: int, *, quality: str, temporal: bool):
+        """The clean picture, ``(height, width, 3)`` float32.
+
+        Parameters
+        ----------
+        frame : stillray.Frame
+            The buffers.
+        shown
+            What it shows.
+        number
+            On Blender's time line: history goes on from the frame before it alone, since that is
+            where motion points to.
+        quality, temporal
+            As the settings have them.
+        """
+        if self._kind != (quality, temporal):
+            self.close()
+            self._kind = quality, temporal
+        stream = self._stream(shown, quality, temporal)
+        cut = stream.cuts.compare(frame) if temporal else None
+        if number - 1 != stream.last or shown.camera != stream.camera or (cut and cut.is_cut):
+            stream.denoiser.reset()
+        stream.last, stream.camera = number, shown.camera
+        return stream.denoiser.denoise(frame)
+
+    def forget(self) -> None:
+        """Drop all history."""
+        for stream in self._streams.values():
+            stream.denoiser.reset()
+            stream.last = None
+
+    def close(self) -> None:
+        """Free everything."""
+        for stream in reversed(self._streams.values()):  # the first owns the network
+            stream.denoiser.close()
+        self._streams.clear()
+
+    def _stream(self, shown: Shown, quality: str, temporal: bool) -> _Stream:
+        key = shown.scene, shown.layer, shown.view
+        if key not in self._streams:
+            from stillray import Denoiser
+            from stillray.batch.scene_cuts import CutDetector
+
+            first = next(iter(self._streams.values()), None)
+            engine = first.denoiser.engine if first else None
+            denoiser = Denoiser(quality, temporal=temporal, engine=engine)
+            self._streams[key] = _Stream(denoiser, CutDetector(denoiser.model.spec), shown.camera)
+        return self._streams[key]
