@@ -166,6 +166,9 @@ def kernel_pyramid(
         for image in (mean, np.moveaxis(sample, 0, -1))
     )
     light, held = np.zeros_like(padded[..., :3]), np.zeros(full)
+    # weights of neighbours of the finest level come last
+    finest, extra = weights[0], 8 * len(options.finest_neighbours)
+    weights[0] = finest[: len(finest) - extra]
     for y, x in np.ndindex(*full):
         parts = [padded[y, x, 3], weights[0][-1, y, x] * new[y, x, 3]]
         light[y, x] = np.average([padded[y, x, :3], new[y, x, :3]], axis=0, weights=parts)
@@ -209,14 +212,17 @@ def kernel_pyramid(
                 after = -16 if options.predicted else -8
                 choices.append(_doubled(result, weights[level + 1][after:][:8], y, x))
                 shares.append(1.0)
-            if level > 0 and options.predicted:
+            own, distances = weights[level], (1,) * options.predicted
+            if level == 0:
+                own, distances = finest, options.finest_neighbours
+            for place, distance in enumerate(distances):
                 for index, (down, right) in enumerate(around):
                     at = (
-                        min(max(y + down, 0), held.shape[0] - 1),
-                        min(max(x + right, 0), held.shape[1] - 1),
+                        min(max(y + distance * down, 0), held.shape[0] - 1),
+                        min(max(x + distance * right, 0), held.shape[1] - 1),
                     )
                     choices.append(light[at])
-                    shares.append(weights[level][index - 8, y, x])
+                    shares.append(own[8 * (place - len(distances)) + index, y, x])
             blended[y, x] = np.average(choices, axis=0, weights=shares)
         result = blended
     radiance = result[:height, :width] * divisor

@@ -24,6 +24,7 @@ def filtered(mean, sample, divisor, previous, logits, options, strips):
     return image
 
 
+RENEW = level_layout(0, 3, OPTIONS).renew
 LEVELS = 3  # what is tested holds for any number; three keep the oracle quick
 
 
@@ -90,6 +91,17 @@ def test_predicted_weights_of_neighbours_equal_the_loop_oracle(height, width):
         np.testing.assert_allclose(got, expected, rtol=5e-6)
 
 
+@pytest.mark.parametrize("distances", [(1,), (1, 2), (3,)])
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 1), (9, 14), (41, 18)])
+def test_weights_of_the_finest_levels_neighbours_equal_the_loop_oracle(height, width, distances):
+    options = dataclasses.replace(OPTIONS, finest_neighbours=distances, logit_bound=12.0)
+    inputs = draw(height, width, options=options)
+    expected = oracles.kernel_pyramid(*inputs, options)
+    for threads in (1, 3):
+        got = filtered(*inputs, options, Strips(threads))
+        np.testing.assert_allclose(got, expected, rtol=5e-6)
+
+
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (9, 14), (150, 70)])
 def test_logits_that_come_by_blocks_are_those_of_the_pixels(height, width):
     *buffers, logits = draw(height, width)
@@ -102,7 +114,9 @@ def test_logits_that_come_by_blocks_are_those_of_the_pixels(height, width):
 
 def coarser_alone(light, beside, above):
     """A finest level that takes nothing but the coarser one, of this light and these logits."""
-    options = dataclasses.replace(OPTIONS, kernel_sizes=(1,), finest_kernels=False, predicted=False)
+    options = dataclasses.replace(
+        OPTIONS, kernel_sizes=(1,), finest_kernels=False, predicted=False, finest_neighbours=()
+    )
     height, width = light.shape[:2]
     fine = np.repeat(np.repeat(light, 2, 0), 2, 1)
     layouts = [level_layout(level, 2, options) for level in range(2)]
@@ -191,7 +205,7 @@ def test_invalid_previous_output_is_not_used():
 def test_one_frame_alone_needs_no_sample_beside_itself():
     mean, _, divisor, previous, logits = draw(9, 14)
     alone = filtered(mean, None, divisor, previous, logits, OPTIONS, Strips(1))
-    logits[0][-1] = -100  # nothing is renewed: the accumulated light is left as it is
+    logits[0][RENEW] = -100  # nothing is renewed: the accumulated light is left as it is
     same = planes_of(mean)
     got = filtered(mean, same, divisor, previous, logits, OPTIONS, Strips(1))
     # the bound of the logits leaves a share of exp(-8), which changes the samples held
@@ -202,6 +216,6 @@ def test_a_past_that_does_not_hold_can_be_let_go():
     mean, sample, _, _, logits = draw(9, 14)
     mean[..., :3], sample[:3] = 5.0, 1.0
     mean[..., 3], sample[3] = 17.0, 1.0
-    logits[0][-1] = 100
+    logits[0][RENEW] = 100
     got = filtered(mean, sample, None, None, logits, OPTIONS, Strips(1))
     assert got.max() < 1.03  # exp(8) to 17

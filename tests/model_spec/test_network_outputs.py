@@ -13,11 +13,18 @@ from stillray.model_spec.network_outputs import network_outputs
 
 @pytest.mark.parametrize(("finest", "predicted"), product((True, False), repeat=2))
 @pytest.mark.parametrize("kernel_sizes", [(3,), (3, 5, 7)])
+@pytest.mark.parametrize("distances", [(), (1, 3)])
 @pytest.mark.parametrize("name", ["kpyr-5", "kpyr-5s"])
-def test_a_pyramid_gives_the_logits_of_every_level(name, kernel_sizes, finest, predicted):
+def test_a_pyramid_gives_the_logits_of_every_level(
+    name, distances, kernel_sizes, finest, predicted
+):
     spec = load(name)
     decoder = replace(
-        spec.decoder, kernel_sizes=kernel_sizes, finest_kernels=finest, predicted=predicted
+        spec.decoder,
+        kernel_sizes=kernel_sizes,
+        finest_kernels=finest,
+        predicted=predicted,
+        finest_neighbours=distances,
     )
     spec = replace(spec, decoder=decoder)
     levels, block = spec.network.resolutions, spec.network.block

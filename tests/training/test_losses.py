@@ -11,6 +11,7 @@ from stillray_training.losses import (
     blur_error,
     displayed,
     dissimilarity,
+    excess,
     slope_error,
     smape,
     unsteadiness,
@@ -79,3 +80,13 @@ def test_mottling_counts_where_noise_averages_out():
     assert float(blur_error(patch)) == pytest.approx(2 * 0.1 / 4, rel=1e-5)
     checks = torch.tensor([0.1, -0.1]).repeat(16)
     assert float(blur_error(checks.expand(1, 3, 32, 32))) == pytest.approx(0, abs=1e-7)
+
+
+def test_what_is_worse_than_the_input_counts_even_where_the_patch_gains():
+    before = torch.full((1, 3, 16, 16), 0.2)
+    error = torch.full((1, 3, 16, 16), 0.1)
+    assert float(excess(error, before)) == 0
+    error[..., :4, :4] = 0.5  # one square of sixteen
+    assert float(excess(error, before)) == pytest.approx(0.3 / 16)
+    checks = torch.tensor([0.0, 0.4]).repeat(8).expand(1, 3, 16, 16)
+    assert float(excess(checks, before)) == pytest.approx(0, abs=1e-7)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -41,6 +43,28 @@ def test_a_packaged_model_starts_a_deeper_one():
     assert origin["model"] == "nbg-2x3"
     features = torch.rand(1, len(shallow.spec.network.features), 16, 24)
     torch.testing.assert_close(second(features), first(features))
+
+
+def test_a_packaged_model_starts_one_with_more_blocks_and_neighbours():
+    info = find_model("kpyr-5")
+    known = info.spec.decoder
+    distances = (*known.finest_neighbours, 7)
+    deeper = dataclasses.replace(
+        info.spec.network,
+        decoder_blocks=tuple(count + 1 for count in info.spec.network.decoder_blocks),
+    )
+    decoder = dataclasses.replace(known, finest_neighbours=distances)
+    spec = dataclasses.replace(info.spec, network=deeper, decoder=decoder)
+    first, second = (FAMILIES[info.family].network(each) for each in (info.spec, spec))
+    start_from("kpyr-5", first, info.spec)
+    start_from("kpyr-5", second, spec)
+    features = torch.rand(1, len(info.spec.network.features), 32, 48)
+    finest, *coarser = second(features)
+    wanted, *others = first(features)
+    torch.testing.assert_close(finest[:, : wanted.shape[1]], wanted)
+    torch.testing.assert_close(coarser, others)
+    # the new neighbours count next to nothing, everywhere alike
+    assert torch.equal(finest[:, wanted.shape[1] :], torch.full_like(finest[:, -8:], -5.0))
 
 
 def test_what_is_no_start_is_refused_by_name(tmp_path):

@@ -85,6 +85,20 @@ def blur_error(error: Tensor) -> Tensor:
     return per_patch(fine.abs()) + per_patch(F.avg_pool2d(fine, 4).abs())
 
 
+def excess(error: Tensor, before: Tensor) -> Tensor:
+    """How much further off the result is than the input was, over squares of 4x4 pixels.
+
+    A patch may gain as a whole while its silhouettes lose; of a single pixel, noise may be right by
+    chance.
+
+    Parameters
+    ----------
+    error, before : (n, 3, h, w)
+        Absolute differences from the reference, `displayed`, of the result and of the input.
+    """
+    return per_patch((F.avg_pool2d(error, 4) - F.avg_pool2d(before, 4)).relu())
+
+
 def unsteadiness(shown: Tensor, wanted: Tensor, before: Tensor, valid: Tensor) -> Tensor:
     """Mean change of each patch where the previous output was as good as right.
 

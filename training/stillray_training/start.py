@@ -152,8 +152,9 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
     source
         See `read_start`. A model of the same family and widths; it may have read other features,
         which are matched by name (those that it did not read begin with weights of 0), have given
-        fewer logits (new ones are appended), and have had fewer layers in its dense block (what
-        new ones add begins with weights of 0). Where the first block has an identity, features
+        fewer logits (new ones are appended), fewer blocks of a width that an identity spans (new
+        ones begin as that identity), and fewer layers in its dense block (what new ones add begins
+        with weights of 0). Where the first block has an identity, features
         stay in their places.
     network, spec
         What is to be trained.
@@ -197,5 +198,11 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
                 f"start must have weights that fit {spec.name}, {source} does not: {name}"
             )
         target[: len(value)] = value
+    for name, module in network.named_modules():
+        if isinstance(module, RepVGGBlock) and module.identity:
+            parts = [f"{name}.{part}" for part, _ in module.named_parameters()]
+            if not any(part in start.weights for part in parts):
+                for part in parts:
+                    state[part].zero_()
     network.load_state_dict(state)
     return start.origin

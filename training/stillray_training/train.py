@@ -44,6 +44,7 @@ from stillray_training.losses import (
     blur_error,
     displayed,
     dissimilarity,
+    excess,
     per_patch,
     slope_error,
     smape,
@@ -94,8 +95,9 @@ def reconstruct_loss(
         loss = loss + recipe.steady_weight * change
     if recipe.hinge_weight or recipe.quiet_power:
         given = displayed(take["irradiance"] * take["divisor"] * take["exposure"])
-        before = per_patch((given - wanted).abs())
-        loss = loss + recipe.hinge_weight * (per_patch(error.abs()) - before).relu()
+        before = (given - wanted).abs()
+        loss = loss + recipe.hinge_weight * excess(error.abs(), before)
+        before = per_patch(before)
         # 1 for the noise of one sample a pixel
         loss = loss * ((before + _QUIETEST) / _USUAL_ERROR) ** -recipe.quiet_power
     return loss.mean()

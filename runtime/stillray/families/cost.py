@@ -6,7 +6,7 @@ window's sum is two additions an axis however large the window is.
 
 from __future__ import annotations
 
-from stillray.families.pyramid_logits import level_logits
+from stillray.families.pyramid_logits import level_layout, level_logits
 from stillray.model_spec.loader import PyramidKernels
 
 WINDOW_SUM = 4  # operations: one value comes in and one goes out, along each axis
@@ -31,7 +31,7 @@ def kernel_pyramid_cost(levels: int, options: PyramidKernels) -> tuple[float, fl
         # their shares and of each channel three products
         kernels = maps * (1 + 3 + 4 * WINDOW_SUM + 1 + 3 * 2 + 1)
         doubled = 4 * (6 + 3 * 5) if level else 0
-        neighbours = 8 * (1 + 3 * 2) if level and options.predicted else 0
+        neighbours = 8 * (1 + 3 * 2) * len(level_layout(level, levels, options).distances)
         operations += share * (logits * EXP + kernels + 3 * 4 + 4 * 2 + doubled + neighbours)
         planes += share * (logits + 4 + 4)  # light read and the level's result written
     resolve = 9 * (1 + 3 * 2) + 3 + 3  # eight neighbours and the past; normalised, modulated

@@ -60,7 +60,8 @@ class KernelPyramidModel(TemporalKernels):
         self.cost = kernel_pyramid_cost(levels, spec.decoder)
         # doubling looks into the neighbouring cell: 1.5 cells of every level above the finest,
         # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, and the resolve
-        radius = max(max(spec.decoder.kernel_sizes) // 2, int(spec.decoder.predicted))
+        radii = (size // 2 for size in spec.decoder.kernel_sizes)
+        radius = max(*radii, *spec.decoder.finest_neighbours, int(spec.decoder.predicted))
         looks = Looks(
             reach=3 * (coarsest - 1) + radius * coarsest + 1,
             receptive_field=receptive_field(spec.network),
@@ -324,24 +325,41 @@ class _Level:
             for plane, sums in zip(self.planes, light, strict=False):
                 np.multiply(weight, plane[near], out=product)
                 cv2.accumulateProduct(box_means(product, size, box)[inner], share, sums)
-        if self.layout.around.stop > self.layout.around.start:
-            maps = self.logits[self.layout.around, rows]
-            weights = scratch.array("weights", maps.shape)
-            for logit, weight in zip(maps, weights, strict=True):
-                bounded_exp(logit, self.options.logit_bound, weight)
-                normal += weight
-            _add_neighbours(_padded(self.planes[:3], rows, scratch), weights, light)
+        if self.layout.distances:
+            self._add_around(rows, light, normal, scratch)
         np.multiply(light, np.reciprocal(normal, out=normal), out=out)
 
+    def _add_around(
+        self, rows: slice, light: np.ndarray, normal: np.ndarray, scratch: Scratch
+    ) -> None:
+        """Add neighbours, each by a weight of its own, and the weights."""
+        distances = self.layout.distances
+        maps = self.logits[self.layout.around, rows]
+        weights = scratch.array("weights", maps.shape)
+        for logit, weight in zip(maps, weights, strict=True):
+            bounded_exp(logit, self.options.logit_bound, weight)
+            normal += weight
+        margin, count = max(distances), len(NEIGHBOURS)
+        padded = _padded(self.planes[:3], rows, margin, scratch)
+        for index, distance in enumerate(distances):
+            crop = slice(margin - distance, distance - margin or None)
+            near = padded[:, crop, crop]
+            _add_neighbours(near, weights[count * index :][:count], light, distance)
 
-def _padded(planes: np.ndarray, rows: slice, scratch: Scratch) -> np.ndarray:
-    """Rows of ``(3, h, w)`` with one pixel more on each side, repeated at the border."""
-    near, inner = with_halo(rows, 1, planes.shape[1])
-    count, width = rows.stop - rows.start, planes.shape[2]
-    padded = scratch.array("neighbours", (3, count + 2, width + 2))
-    top = 1 - inner.start
-    padded[:, top : top + near.stop - near.start, 1:-1] = planes[:, near]
-    _repeat_border(padded, top=near.start == rows.start, bottom=near.stop == rows.stop)
+
+def _padded(planes: np.ndarray, rows: slice, margin: int, scratch: Scratch) -> np.ndarray:
+    """Rows of ``(3, h, w)`` with a margin of pixels on each side, repeated at the border."""
+    height, width = planes.shape[1:]
+    near, inner = with_halo(rows, margin, height)
+    count = rows.stop - rows.start
+    padded = scratch.array("neighbours", (3, count + 2 * margin, width + 2 * margin))
+    top = margin - inner.start
+    bottom = top + near.stop - near.start
+    padded[:, top:bottom, margin:-margin] = planes[:, near]
+    padded[..., :margin] = padded[..., margin : margin + 1]
+    padded[..., -margin:] = padded[..., -margin - 1 : -margin]
+    padded[:, :top] = padded[:, top : top + 1]
+    padded[:, bottom:] = padded[:, bottom - 1 : bottom]
     return padded
 
 
@@ -354,22 +372,26 @@ def _repeat_border(padded: np.ndarray, *, top: bool, bottom: bool) -> None:
         padded[:, -1] = padded[:, -2]
 
 
-def _add_neighbours(padded: np.ndarray, weights: np.ndarray, sums: np.ndarray) -> None:
+def _add_neighbours(
+    padded: np.ndarray, weights: np.ndarray, sums: np.ndarray, distance: int = 1
+) -> None:
     """Add the eight neighbours, each by its weight, to ``(3, h, w)``.
 
     Parameters
     ----------
-    padded : (3, h + 2, w + 2) float32
-        With one pixel more on each side.
+    padded : (3, h + 2 distance, w + 2 distance) float32
+        With that many pixels more on each side.
     weights : (8, h, w) float32
         In the order of `NEIGHBOURS`.
     sums : (3, h, w) float32
         Added to.
+    distance
+        Of the neighbours, pixels.
     """
     height, width = weights.shape[1:]
     for plane, total in zip(padded, sums, strict=True):
         for weight, (down, right) in zip(weights, NEIGHBOURS, strict=True):
-            moved = plane[1 + down :, 1 + right :][:height, :width]
+            moved = plane[distance * (1 + down) :, distance * (1 + right) :][:height, :width]
             cv2.accumulateProduct(moved, weight, total)
 
 

@@ -39,8 +39,10 @@ class LevelLayout:
         its own and above or below it, see `stillray.families.pyramid_upsample`: four maps for the
         one, four for the other; empty at the finest.
     around
-        At every level but the finest, where the spec asks for it, what a pixel takes of its eight
-        `NEIGHBOURS`, as the blend's; empty elsewhere.
+        Where the spec asks for it, what a pixel takes of its eight `NEIGHBOURS` at each of
+        `distances`, as the blend's; empty elsewhere.
+    distances
+        Of those neighbours, in pixels of the level.
     """
 
     importance: slice
@@ -50,12 +52,14 @@ class LevelLayout:
     renew: slice
     double: slice
     around: slice
+    distances: tuple[int, ...]
 
 
 def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayout:
     """The layout of a level, 0 being the finest."""
     kernels = len(options.kernel_sizes) if level > 0 or options.finest_kernels else 0
     coarsest = level == levels - 1
+    distances = options.finest_neighbours if level == 0 else (1,) * options.predicted
     counts = (
         kernels,
         0 if coarsest else 1,
@@ -63,10 +67,11 @@ def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayou
         len(NEIGHBOURS) + 1 if level == 0 else 0,
         1 if level == 0 else 0,
         0 if level == 0 else 8,
-        len(NEIGHBOURS) if level > 0 and options.predicted else 0,
+        len(NEIGHBOURS) * len(distances),
     )
     starts = [sum(counts[:index]) for index in range(len(counts) + 1)]
-    return LevelLayout(*(slice(a, b) for a, b in pairwise(starts)))
+    parts = [slice(a, b) for a, b in pairwise(starts)]
+    return LevelLayout(*parts, distances=distances)
 
 
 def level_logits(level: int, levels: int, options: PyramidKernels) -> int:

@@ -198,10 +198,14 @@ class PyramidKernels:
     predicted: bool  # whether pixels of the coarser levels have a weight for each neighbour, too
     logit_bound: float  # logits are clipped to +- this, (0, 20]
     sharp_recall: bool  # whether the previous output is interpolated by cubic convolution
+    # Distances, in pixels, at which pixels of the finest level have a weight for each of eight
+    # neighbours. Models that were exported before it was known lack it.
+    finest_neighbours: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         _kernels(self.kernel_sizes)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
+        _each("decoder.finest_neighbours", self.finest_neighbours, 1, _MAX_WINDOW // 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -263,7 +267,7 @@ class Training:
     # weights of errors of slopes, and of means of 4x4 and 16x16 pixels, as displayed, >= 0
     slope_weight: float = 0.0
     blur_weight: float = 0.0
-    hinge_weight: float = 0.0  # weight of being further off than the input was, >= 0
+    hinge_weight: float = 0.0  # weight of squares further off than the input was, >= 0
     # Patches weigh by their input's error as displayed to the power of minus this: with 0.5 those
     # that begin with a hundredth of the error count ten times as much. [0, 1]
     quiet_power: float = 0.0

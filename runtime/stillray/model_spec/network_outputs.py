@@ -44,5 +44,6 @@ def _planes(decoder: FusedKernels | PyramidKernels, level: int, levels: int) -> 
         kernels = 0
     planes = 2 * kernels + (0 if coarsest else 2)  # importance, blend; pool and blend's own
     if level == 0:
-        return planes + _NEIGHBOURS + 2  # the previous output, this frame's sample
+        # the previous output, this frame's sample
+        return planes + _NEIGHBOURS * (1 + len(decoder.finest_neighbours)) + 2
     return planes + 8 + (_NEIGHBOURS if decoder.predicted else 0)  # doubling, neighbours

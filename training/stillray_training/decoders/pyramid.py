@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -73,21 +72,20 @@ def kernel_pyramid(
             sums, normal = box(torch.cat([weight * own, weight], 1), size).split((3, 1), 1)
             total = total + share * (sums / normal)
         if maps[level].around.shape[1]:
-            neighbours = zip(shifted(own), others[-len(NEIGHBOURS) :], strict=True)
-            total = total + sum(share * moved for moved, share in neighbours)
+            moved = [each for far in layouts[level].distances for each in shifted(own, far)]
+            neighbours = zip(moved, others[-len(moved) :], strict=True)
+            total = total + sum(share * neighbour for neighbour, share in neighbours)
         result = total
     assert result is not None
     return result
 
 
-def shifted(planes_nchw: Tensor) -> list[Tensor]:
-    """The eight `NEIGHBOURS` of every pixel, the border repeated."""
+def shifted(planes_nchw: Tensor, distance: int = 1) -> list[Tensor]:
+    """The eight `NEIGHBOURS` of every pixel at a distance, the border repeated."""
     height, width = planes_nchw.shape[2:]
-    padded = F.pad(planes_nchw, (1, 1, 1, 1), mode="replicate")
-    return [
-        padded[..., 1 + down : 1 + down + height, 1 + right : 1 + right + width]
-        for down, right in NEIGHBOURS
-    ]
+    padded = F.pad(planes_nchw, [distance] * 4, mode="replicate")
+    starts = [(distance * (1 + down), distance * (1 + right)) for down, right in NEIGHBOURS]
+    return [padded[..., top : top + height, left : left + width] for top, left in starts]
 
 
 def doubled(coarser_nchw: Tensor, logits_nchw: Tensor) -> Tensor:
@@ -141,7 +139,8 @@ class _Parts(NamedTuple):
 
 def _parts(logits_nchw: Tensor, layout: LevelLayout, options: PyramidKernels) -> _Parts:
     # one split, not five slices: the gradient of a slice is a whole map of zeros
-    sizes = [part.stop - part.start for part in dataclasses.astuple(layout)]
+    parts = (getattr(layout, name) for name in _Parts._fields)
+    sizes = [part.stop - part.start for part in parts]
     bound = options.logit_bound
     return _Parts(*logits_nchw.contiguous().clamp(-bound, bound).split(sizes, 1))
 

@@ -16,6 +16,7 @@ from stillray.model_spec.loader import FusedKernels, PyramidKernels, PyramidNetw
 from stillray_training.networks.repvgg import RepVGGBlock
 
 _UNRESOLVED = -3.0  # logit of a neighbour against the pixel itself, before training
+_ALONE = -5.0  # of one of many neighbours of the finest level
 _UNRENEWED = -3.0  # and of the new sample's worth beside what was accumulated
 
 
@@ -120,21 +121,19 @@ def kernel_pyramid_net(spec: ModelSpec) -> PyramidNet:
     assert isinstance(decoder, PyramidKernels)
     levels = network.resolutions
     made = PyramidNet(network, [level_logits(level, levels, decoder) for level in range(levels)])
-    # start from an unresolved picture: even shares would blur it and hide what to learn
-    finest = made.heads[0].bias
-    assert isinstance(finest, Tensor)
     with torch.no_grad():
-        of_pixels = finest.view(-1, network.block**2)
-        of_pixels[level_layout(0, levels, decoder).resolve] = _UNRESOLVED
-        of_pixels[level_layout(0, levels, decoder).renew] = _UNRENEWED
-        # and from plain doubling and blending: weights that know no such logits serve as a start
-        for level in range(1, levels):
+        for level, head in enumerate(made.heads):
             layout = level_layout(level, levels, decoder)
-            for weights in made.heads[level].parameters():
-                weights[layout.double] = weights[layout.around] = 0
-            bias = made.heads[level].bias
-            assert isinstance(bias, Tensor)
-            bias[layout.around] = _UNRESOLVED
+            # of the finest level as many planes as a block has pixels
+            pixels = network.block**2 if level == 0 else 1
+            weight, bias = (part.unflatten(0, (-1, pixels)) for part in (head.weight, head.bias))
+            # from plain doubling and blending: weights that know no such logits serve as a start
+            for part in (weight, bias):
+                part[layout.double] = part[layout.around] = 0
+            bias[layout.around] = _UNRESOLVED if level else _ALONE
+            # from an unresolved picture: even shares would blur it and hide what to learn
+            bias[layout.resolve] = _UNRESOLVED
+            bias[layout.renew] = _UNRENEWED
     return made
 
 
