@@ -209,3 +209,13 @@ def test_a_contact_sheet_holds_every_tile_once():
 def test_a_report_on_a_folder_without_sequences_is_refused(tmp_path):
     with pytest.raises(InputError, match="folder must hold finished sequences"):
         write_report(tmp_path)
+
+
+def test_a_bundled_recipe_is_found_by_its_name_unless_a_file_has_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    bundled = read_recipe(Path("sun.toml"))
+    assert {"shadows", "terrace"} <= {job.scene for job in bundled}
+    Path("sun.toml").write_text('[[sequences]]\nscene = "court"\ncount = 1\nfirst_seed = 3\n')
+    assert [job.scene for job in read_recipe(Path("sun.toml"))] == ["court"]
+    with pytest.raises(InputError, match=r"recipe must be a readable TOML file, got other\.toml"):
+        read_recipe(Path("other.toml"))

@@ -14,7 +14,7 @@ Exactly these effects in a file of one's own::
 
 A whole training set, on all cores or on a Dask scheduler::
 
-    stillray-simulate data/train --recipe training/stillray_training/simulate/recipes/train.toml
+    stillray-simulate data/train --recipe train.toml
     stillray-simulate data/train --recipe ... --scheduler tcp://host:8786
 """
 
@@ -52,7 +52,9 @@ def simulate(
         list[str] | None,
         typer.Option(help=f"{', '.join(GENERATORS)}, or a Mitsuba XML file; repeatable."),
     ] = None,
-    recipe: Annotated[Path | None, typer.Option(help="A TOML file of many scenes.")] = None,
+    recipe: Annotated[
+        Path | None, typer.Option(help="A TOML file of many scenes, or the name of a bundled one.")
+    ] = None,
     assets: Annotated[
         Path | None, typer.Option(help="Folder of objects for interior, desk, shadows, terrace.")
     ] = None,

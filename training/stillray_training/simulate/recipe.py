@@ -28,6 +28,7 @@ from stillray_training.simulate.generators import GENERATORS
 from stillray_training.simulate.jobs import Job
 from stillray_training.simulate.sequence import SequenceOptions
 
+_BUNDLED = Path(__file__).parent / "recipes"
 _ENTRY = {"scene", "count", "first_seed", "views", "effects", "also", "options"}
 
 
@@ -35,11 +36,19 @@ def read_recipe(path: Path) -> list[Job]:
     """The jobs of a recipe, seed by seed through all entries: a run that is stopped early still
     holds every kind of scene.
 
+    Parameters
+    ----------
+    path
+        A TOML file, or the name of one that comes with stillray: ``counts.toml``.
+
     Raises
     ------
     InputError
         The file is missing, not TOML, or holds an unknown key or a value against its rule.
     """
+    bundled = _BUNDLED / path
+    if path.name == str(path) and not path.exists() and bundled.is_file():
+        path = bundled
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
