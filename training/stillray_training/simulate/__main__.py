@@ -53,7 +53,7 @@ def simulate(
         typer.Option(help=f"{', '.join(GENERATORS)}, or a Mitsuba XML file; repeatable."),
     ] = None,
     recipe: Annotated[
-        Path | None, typer.Option(help="A TOML file of many scenes, or the name of a bundled one.")
+        Path | None, typer.Option(help="A TOML file of many scenes, or a bundled one's name.")
     ] = None,
     assets: Annotated[
         Path | None, typer.Option(help="Folder of objects for interior, desk, shadows, terrace.")
