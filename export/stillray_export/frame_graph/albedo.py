@@ -1,0 +1,51 @@
+"""Albedo accumulated over frames: the twin of `stillray.stages.albedo_history`."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from stillray_export.frame_graph.lookup import linear_taps, mean_of, planes_like
+from stillray_export.frame_graph.windows import least_around, most_around
+
+_WHOLE = 1 - 1e-3
+
+
+def accumulate_albedo(
+    divisor: Tensor, past_nhwc: Tensor, places: Tensor, held: Tensor, most: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What the result is multiplied by, what is remembered, and the frames that it holds.
+
+    Parameters
+    ----------
+    divisor : (1, 3, h, w)
+        Of this frame.
+    past_nhwc : (h, w, 3)
+        What the last frame has left.
+    places : (1, 2, h, w)
+        Where the pixels' picture was.
+    held
+        Frames that the past holds, scalar; 0 for none.
+    most
+        That it is worth at most.
+
+    Returns
+    -------
+    modulator, remembered : (1, 3, h, w)
+    frames
+        Scalar.
+    """
+    samples = held.clamp(max=most)
+    share = samples / (samples + 1)
+    taps = linear_taps(places, divisor)
+    inside = sum(tap.weight * tap.inside for tap in taps)
+    assert isinstance(inside, Tensor)
+    taken = planes_like(mean_of(taps, past_nhwc.flatten(0, 1), zeros=True), divisor)
+    taken = torch.where(planes_like(inside, divisor) < _WHOLE, divisor, taken)
+    taken = torch.minimum(torch.maximum(taken, least_around(divisor)), most_around(divisor))
+    mean = taken * share + divisor * (1 - share)
+    # what has no albedo was divided by 1: beside it, no more than this frame was divided by
+    none = (divisor.sum(1, keepdim=True) >= 3).to(torch.float32)
+    beside = most_around(none) - least_around(none)
+    mixed = torch.where(beside > 0, torch.minimum(mean, divisor), mean)
+    return torch.where(held > 0, mixed, divisor), mean, samples + 1

@@ -1,0 +1,84 @@
+"""The planes that a network reads: the twin of `stillray.stages.features`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from stillray.model_spec import ModelSpec
+from stillray_export.frame_graph.light import luminance, tone_map
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What is known of a frame before the network: planes ``(1, c, h, w)`` and scalars.
+
+    Attributes
+    ----------
+    irradiance, held
+        Accumulated, and the samples that each pixel holds.
+    light, local
+        Luminance of this frame's irradiance; of what is usual around a pixel, tone-mapped.
+    albedo, normal, depth
+        0 where not given.
+    divisor, previous, valid
+        What radiance is divided by; the last output and how much of it is valid.
+    exposure, depth_unit, told
+        Scalars: 1 / irradiance, of depth, samples a pixel.
+    """
+
+    irradiance: Tensor
+    held: Tensor
+    light: Tensor
+    local: Tensor
+    albedo: Tensor
+    normal: Tensor
+    depth: Tensor
+    divisor: Tensor
+    previous: Tensor
+    valid: Tensor
+    exposure: Tensor
+    depth_unit: Tensor
+    told: Tensor
+
+
+def feature_planes(frame: Prepared, spec: ModelSpec) -> Tensor:
+    """The planes by the specification's names, ``(1, features, h, w)``."""
+    planes = {
+        **_of_light(frame),
+        **_named("albedo", "rgb", frame.albedo),
+        **_named("normal", "xyz", frame.normal),
+        "albedo.luminance": luminance(frame.albedo),
+        "depth": frame.depth / (frame.depth + frame.depth_unit),
+        "previous.valid": frame.valid,
+        "samples": _samples(frame, spec),
+    }
+    return torch.cat([planes[name] for name in spec.network.features], 1)
+
+
+def _of_light(frame: Prepared) -> dict[str, Tensor]:
+    def shown(light: Tensor) -> Tensor:
+        return tone_map(light, frame.exposure).sqrt()
+
+    past = shown(frame.previous / frame.divisor)
+    whole = luminance(frame.previous) / luminance(frame.divisor)
+    return {
+        **_named("irradiance", "rgb", shown(frame.irradiance)),
+        **_named("previous", "rgb", past),
+        "irradiance.luminance": shown(luminance(frame.irradiance)),
+        "previous.luminance": shown(whole),
+        "sample.luminance": shown(frame.light),
+        "local_luminance": frame.local.clamp(min=0).sqrt(),
+    }
+
+
+def _samples(frame: Prepared, spec: ModelSpec) -> Tensor:
+    # to a network that has seen one sample a pixel alone, more look like a long past
+    held = frame.held * frame.told if spec.knows_samples else frame.held
+    return (held / (held + spec.temporal.max_samples / 4)).sqrt()
+
+
+def _named(name: str, channels: str, planes: Tensor) -> dict[str, Tensor]:
+    return {f"{name}.{letter}": planes[:, i : i + 1] for i, letter in enumerate(channels)}

@@ -1,0 +1,325 @@
+"""A whole frame as one module: from raw buffers and a state to a picture and the next state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from stillray.errors import InputError
+from stillray.families.registry import kernels_of
+from stillray.model_spec import ModelSpec
+from stillray.model_spec.loader import PyramidKernels
+from stillray.stages.accumulate import FILLED_WEIGHT
+from stillray.stages.prepare import _RELIT
+from stillray.stages.repair import MAX_DEPTH, MAX_MOTION
+from stillray_export.frame_graph.accumulation import (
+    SampleCounts,
+    accumulate,
+    bound,
+    sample_weight,
+)
+from stillray_export.frame_graph.albedo import accumulate_albedo
+from stillray_export.frame_graph.dilation import follow_nearer
+from stillray_export.frame_graph.encode import Prepared, feature_planes
+from stillray_export.frame_graph.exposure import depth_scale, frame_exposure, steady_exposure
+from stillray_export.frame_graph.light import divisor, local_luminance, luminance, tone_map
+from stillray_export.frame_graph.lookup import grid
+from stillray_export.frame_graph.recall import forget_uncovered, recall
+from stillray_export.frame_graph.reflections import follow_reflections, light_of
+from stillray_export.frame_graph.rejection import Noise, compare, confidence
+from stillray_export.frame_graph.repair import repair_feature, repair_motion, repair_radiance
+from stillray_export.frame_graph.reprojection import guide_planes, reproject
+from stillray_training.decoders.boxes import pooled_box_mean
+from stillray_training.decoders.pyramid import kernel_pyramid, renewed, resolve, unfold
+
+#: Numbers that a state holds: exposure, exposure of its noise, frames of its noise, samples a
+#: pixel, frames of its albedo.
+NUMBERS = 5
+NOISE_BLOCK = 16  # pixels
+
+
+@dataclass(frozen=True, eq=False)
+class Buffers:
+    """A frame's buffers, repaired: planes ``(1, c, h, w)``.
+
+    Attributes
+    ----------
+    color, albedo, normal, depth, motion
+        As in `stillray.Frame`; ``albedo`` below 0, ``normal`` and ``depth`` 0 where not given.
+    broken
+        1 where color was filled in.
+    counts
+        The frame's samples.
+    moves
+        1 where there is a past and motion to bring it here, else 0; scalar.
+    """
+
+    color: Tensor
+    albedo: Tensor
+    normal: Tensor
+    depth: Tensor
+    motion: Tensor
+    broken: Tensor
+    counts: SampleCounts
+    moves: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What a frame leaves to the next; all zeros before the first.
+
+    Attributes
+    ----------
+    mean : (h, w, 4)
+        Accumulated irradiance and the samples that each pixel holds.
+    guides : (h, w, 4)
+        Normals and the logarithm of depth.
+    output : (h, w, 3)
+        The last picture.
+    noise : (rows, columns)
+        Variance of one sample by blocks of 16x16 pixels.
+    numbers : (NUMBERS,)
+    albedo : (h, w, 3) or None
+        Of models that accumulate it.
+    """
+
+    mean: Tensor
+    guides: Tensor
+    output: Tensor
+    noise: Tensor
+    numbers: Tensor
+    albedo: Tensor | None = None
+
+
+def beginning(height: int, width: int, spec: ModelSpec) -> State:
+    """The state before the first frame."""
+    blocks = [-(-size // NOISE_BLOCK) for size in (height, width)]
+    albedo = torch.zeros(height, width, 3) if spec.temporal.albedo_samples > 0 else None
+    return State(
+        mean=torch.zeros(height, width, 4),
+        guides=torch.zeros(height, width, 4),
+        output=torch.zeros(height, width, 3),
+        noise=torch.zeros(*blocks),
+        numbers=torch.zeros(NUMBERS),
+        albedo=albedo,
+    )
+
+
+class FrameGraph(nn.Module):
+    """A kernel pyramid with all its stages.
+
+    Parameters
+    ----------
+    network
+        From features ``(1, features, H, W)``, sizes of whole cells of the coarsest level, to the
+        logits of every level.
+    spec
+        Its specification.
+
+    Raises
+    ------
+    InputError
+        The model is of another family.
+    """
+
+    def __init__(self, network: nn.Module, spec: ModelSpec) -> None:
+        super().__init__()
+        if not isinstance(spec.decoder, PyramidKernels):
+            raise InputError(f"a frame graph is made of kernel pyramids, got a {spec.family} model")
+        self.network, self.spec, self.options = network, spec, spec.decoder
+        self.multiple = kernels_of(spec).looks.alignment
+
+    def forward(
+        self,
+        color: Tensor,
+        albedo: Tensor,
+        normal: Tensor,
+        depth: Tensor,
+        motion: Tensor,
+        samples: Tensor,
+        past_mean: Tensor,
+        past_guides: Tensor,
+        past_output: Tensor,
+        past_noise: Tensor,
+        past_numbers: Tensor,
+        past_albedo: Tensor | None = None,
+    ) -> tuple[Tensor, ...]:
+        """A frame, see `stillray_export.frame_graph.ports`: the picture, then the next state."""
+        past = State(past_mean, past_guides, past_output, past_noise, past_numbers, past_albedo)
+        buffers = repaired(color, albedo, normal, depth, motion, samples, past)
+        prepared, sample, state = self.prepare(buffers, past)
+        image = self.reconstruct(prepared, sample)
+        image = image[0].permute(1, 2, 0)
+        left = [state.mean, state.guides, image.clone(), state.noise, state.numbers]
+        return image, *left, *([] if state.albedo is None else [state.albedo])
+
+    def prepare(self, frame: Buffers, past: State) -> tuple[Prepared, Tensor, State]:
+        """A frame ready for the network, its sample ``(1, 4, h, w)``, and the next state.
+
+        That state's ``output`` is the last one's: the picture is not made yet.
+        """
+        spec = self.spec
+        by = divisor(frame.albedo, spec.demodulate)
+        irradiance = frame.color / by
+        light = luminance(irradiance)
+        own = frame_exposure(light, spec.transfer)
+        exposure = steady_exposure(own, past.numbers[0], spec.transfer)
+        motion = follow_reflections(
+            frame.motion,
+            frame.depth,
+            frame.albedo,
+            (light, light_of(past.mean)),
+            exposure,
+            spec.demodulate,
+        )
+        motion = torch.where(frame.moves > 0, motion, frame.motion)
+        guides = guide_planes(frame.normal, frame.depth)
+        held, trusted, noise, kept = self._look_back(frame, past, motion, guides, (light, exposure))
+        relit = (frame.moves > 0) & (kept < _RELIT)
+        final = torch.where(relit, own, exposure)
+        local = local_luminance(tone_map(light, final), spec.transfer.local_size)
+        counts, before = frame.counts, held[:, 3:] * trusted
+        weight = sample_weight(light, local, before, final, spec.temporal)
+        new, weight = bound(irradiance, weight)
+        weight = torch.where(frame.broken > 0, FILLED_WEIGHT, weight)
+        mean, total = accumulate(new, weight, held[:, :3], before, spec.temporal)
+        disoccluded = (total <= weight).to(torch.float32)
+        total, worth = total * counts.share, weight * counts.share
+        places = follow_nearer(motion, frame.depth)
+        modulator, albedo, frames = self._albedo(frame, past, by, places)
+        previous, valid = recall(past.output, places, sharp=self.options.sharp_recall)
+        previous, valid = forget_uncovered(previous, valid, disoccluded, trusted)
+        if "local_luminance" in spec.network.features:
+            toned = tone_map(luminance(mean), final)
+            local = local_luminance(toned, spec.transfer.local_size)
+        prepared = Prepared(
+            irradiance=mean,
+            held=total,
+            light=light,
+            local=local,
+            albedo=frame.albedo.clamp(min=0),
+            normal=frame.normal,
+            depth=frame.depth,
+            divisor=modulator,
+            previous=previous * frame.moves,
+            valid=valid * frame.moves,
+            exposure=final,
+            depth_unit=depth_scale(frame.depth),
+            told=counts.told,
+        )
+        numbers = torch.stack(
+            [final, exposure * frame.moves, noise.frames * frame.moves, counts.mean, frames]
+        )
+        state = State(
+            mean=torch.cat([mean, total], 1)[0].permute(1, 2, 0),
+            guides=guides[0].permute(1, 2, 0),
+            output=past.output,
+            noise=noise.variance[0, 0] * frame.moves,
+            numbers=numbers,
+            albedo=albedo,
+        )
+        return prepared, torch.cat([new, worth], 1), state
+
+    def _albedo(
+        self, frame: Buffers, past: State, by: Tensor, places: Tensor
+    ) -> tuple[Tensor, Tensor | None, Tensor]:
+        """What the result is multiplied by, what is remembered of it, and of how many frames."""
+        if past.albedo is None:
+            return by, None, past.numbers[4] * 0
+        most = self.spec.temporal.albedo_samples
+        held = past.numbers[4] * frame.moves
+        modulator, mean, frames = accumulate_albedo(by, past.albedo, places, held, most)
+        given = (frame.albedo.amax() >= 0).to(torch.float32)
+        return modulator, mean[0].permute(1, 2, 0), frames * given
+
+    def _look_back(
+        self,
+        frame: Buffers,
+        past: State,
+        motion: Tensor,
+        guides: Tensor,
+        exposed: tuple[Tensor, Tensor],
+    ) -> tuple[Tensor, Tensor, Noise, Tensor]:
+        """The past at these pixels, how far it is trusted, the noise, and the share that is kept.
+
+        ``(1, 4, h, w)``, ``(1, 1, h, w)``, the next noise and a scalar; ``exposed`` are luminance
+        and exposure.
+        """
+        spec, counts = self.spec, frame.counts
+        light, exposure = exposed
+        places = grid(motion) + motion
+        held = reproject(past.mean, past.guides, guides, places, spec.temporal) * frame.moves
+        held = torch.cat([held[:, :3], held[:, 3:] * counts.past_scale / counts.share], 1)
+        local = local_luminance(tone_map(light, exposure), spec.transfer.local_size)
+        weight = sample_weight(light, local, held[:, 3:], exposure, spec.temporal)
+        weight = weight * (1 - frame.broken)
+        blocks = compare(light, weight, held, exposure)
+        before = Noise(past.noise[None, None] * counts.past_scale, past.numbers[1], past.numbers[2])
+        trusted, noise = confidence(blocks, before, motion, exposure)
+        found = (blocks[:, :1] > 0).to(torch.float32).mean()
+        return held, trusted, noise, trusted.mean() * found
+
+    def reconstruct(self, frame: Prepared, sample: Tensor) -> Tensor:
+        """The picture, ``(1, 3, h, w)``; ``sample`` is irradiance and weight ``(1, 4, h, w)``."""
+        height, width = frame.held.shape[2:]
+        features = feature_planes(frame, self.spec)
+        count = features.shape[1]
+        planes = torch.cat([features, frame.irradiance, frame.held, sample], 1)
+        edge = (0, -width % self.multiple, 0, -height % self.multiple)
+        planes = F.pad(planes, edge, mode="replicate")
+        logits = unfold(self.network(planes[:, :count]))
+        light, held, new, worth = (
+            planes[:, count + start : count + stop]
+            for start, stop in ((0, 3), (3, 4), (4, 7), (7, 8))
+        )
+        light, held = renewed(light, held, new, worth, logits[0], self.options)
+        image = kernel_pyramid(light, held, logits, self.options, pooled_box_mean)
+        # what was added to whole cells goes before pixels are mixed with their neighbours
+        image = image[..., :height, :width] * frame.divisor
+        finest = logits[0][..., :height, :width]
+        return resolve(image, finest, frame.previous, frame.valid, self.options)
+
+
+def repaired(
+    color: Tensor,
+    albedo: Tensor,
+    normal: Tensor,
+    depth: Tensor,
+    motion: Tensor,
+    samples: Tensor,
+    past: State,
+) -> Buffers:
+    """Buffers as the stages want them, of buffers as a renderer has them.
+
+    Parameters
+    ----------
+    color, albedo, normal, motion
+        ``(h, w, channels)``.
+    depth, samples
+        ``(h, w)``.
+    past
+        Of which it counts whether there is one.
+    """
+    counts = SampleCounts(samples[None, None], past.numbers[3])
+    radiance, broken = repair_radiance(_planes(color), counts.empty)
+    unrepaired = _planes(motion)
+    given = (unrepaired.abs().amin(1) <= MAX_MOTION).to(torch.float32).amax()
+    kept = repair_feature(_planes(albedo), -1, 1)
+    return Buffers(
+        color=radiance,
+        # not given at all, or no light where nothing was hit
+        albedo=torch.where(kept.amax() < 0, kept, kept.clamp(min=0)),
+        normal=repair_feature(_planes(normal), -1, 1),
+        depth=repair_feature(depth[None, None], 0, MAX_DEPTH),
+        motion=repair_motion(unrepaired),
+        broken=broken,
+        counts=counts,
+        moves=given * (past.numbers[0] > 0).to(torch.float32),
+    )
+
+
+def _planes(image: Tensor) -> Tensor:
+    return image.permute(2, 0, 1)[None]

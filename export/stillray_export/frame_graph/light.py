@@ -1,0 +1,42 @@
+"""Albedo, luminance and tone, the twins of `stillray.stages.demodulate` and parts of `features`."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from stillray.model_spec.loader import Demodulate
+
+_REC709 = (0.2126, 0.7152, 0.0722)
+
+
+def is_black(albedo_nchw: Tensor, options: Demodulate) -> Tensor:
+    """1 where no channel says anything, ``(1, 1, h, w)``."""
+    return (albedo_nchw.amax(1, keepdim=True) <= options.black).to(torch.float32)
+
+
+def divisor(albedo_nchw: Tensor, options: Demodulate) -> Tensor:
+    """What radiance is divided by, ``(1, 3, h, w)``, see `stillray.stages.demodulate.divisor`."""
+    black = is_black(albedo_nchw, options)
+    return torch.where(black > 0, 1.0, albedo_nchw.clamp(options.floor, 1))
+
+
+def luminance(planes_nchw: Tensor) -> Tensor:
+    """Rec. 709 luminance of the first three channels, ``(1, 1, h, w)``."""
+    red, green, blue = (planes_nchw[:, i : i + 1] for i in range(3))
+    return red * _REC709[0] + green * _REC709[1] + blue * _REC709[2]
+
+
+def tone_map(radiance: Tensor, exposure: Tensor) -> Tensor:
+    """``x e / (1 + x e)`` in [0, 1); 1 where ``x e`` leaves float32."""
+    return 1 - 1 / (1 + radiance * exposure)
+
+
+def local_luminance(toned_nchw: Tensor, size: int) -> Tensor:
+    """Mean of ``size x size`` tone-mapped pixels, the border repeated."""
+    half = size // 2
+    across = F.pad(toned_nchw, (half, half, 0, 0), mode="replicate")
+    across = F.avg_pool2d(across, (1, size), stride=1)
+    down = F.pad(across, (0, 0, half, half), mode="replicate")
+    return F.avg_pool2d(down, (size, 1), stride=1)

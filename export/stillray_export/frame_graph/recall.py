@@ -1,0 +1,62 @@
+"""The previous output at the current pixels: the twin of `stillray.stages.previous_output`."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from stillray_export.frame_graph.light import luminance
+from stillray_export.frame_graph.lookup import cubic_taps, linear_taps, mean_of, planes_like
+from stillray_export.frame_graph.windows import least_around, most_around
+
+_LEAST_VALID, _WHOLE = 1e-3, 1 - 1e-3
+_DARK, _MOST = 1e-30, 4096.0
+_STEEP = 2.0
+
+
+def recall(output_nhwc: Tensor, places: Tensor, *, sharp: bool) -> tuple[Tensor, Tensor]:
+    """Radiance ``(1, 3, h, w)`` and how much of it lay in the frame ``(1, 1, h, w)``.
+
+    Parameters
+    ----------
+    output_nhwc : (h, w, 3)
+        The last output.
+    places : (1, 2, h, w)
+        Where the pixels' picture was, x and y in pixels.
+    sharp
+        See `stillray.stages.previous_output.recall`.
+    """
+    pixels = output_nhwc.flatten(0, 1)
+    taps = linear_taps(places, places)
+    valid = sum(tap.weight * tap.inside for tap in taps)
+    assert isinstance(valid, Tensor)
+    taken = mean_of(taps, pixels, zeros=True)
+    taken = taken / torch.where(valid < _WHOLE, valid.clamp(min=_LEAST_VALID), 1.0)
+    if sharp:
+        light = luminance(output_nhwc.permute(2, 0, 1)[None]).flatten()[:, None]
+        four = [tap.of(light) for tap in taps]
+        most = torch.maximum(torch.maximum(four[0], four[1]), torch.maximum(four[2], four[3]))
+        least = torch.minimum(torch.minimum(four[0], four[1]), torch.minimum(four[2], four[3]))
+        cubic = mean_of(cubic_taps(places, places), light, zeros=False)
+        cubic = torch.minimum(torch.maximum(cubic, least), most).clamp(min=_DARK)
+        linear = luminance(taken[None].permute(0, 2, 1)[..., None])[0, 0]
+        factor = (cubic / linear.clamp(min=_DARK)).clamp(max=_MOST)
+        taken = taken * torch.where(valid < _WHOLE, 1.0, factor)
+    return planes_like(taken, places), planes_like(valid, places)
+
+
+def forget_uncovered(
+    past: Tensor, valid: Tensor, disoccluded: Tensor, confidence: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Without what the frame has just uncovered, see `stages.previous_output.forget_uncovered`.
+
+    Parameters
+    ----------
+    past : (1, 3, h, w)
+    valid, disoccluded, confidence : (1, 1, h, w)
+        ``disoccluded`` is 1 where a pixel had no past, else 0.
+    """
+    opened = most_around(least_around(disoccluded))
+    trusted = (_STEEP * confidence + (1 - _STEEP)).clamp(0, 1)
+    kept = (trusted > 0).to(torch.float32) * (1 - opened)
+    return past * kept, valid * trusted * kept
