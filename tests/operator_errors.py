@@ -19,13 +19,13 @@ from stillray.model_spec import load
 from stillray.model_spec.loader import FusedKernels, PyramidKernels
 from stillray.stages import (
     accumulate,
+    albedo_history,
     demodulate,
+    previous_output,
     repair,
     reproject,
 )
-from stillray.stages import albedo_history as antialias
 from stillray.stages import features as encode
-from stillray.stages import previous_output as recall
 from stillray.stages.state import Filterable
 from tests import oracles
 
@@ -111,14 +111,14 @@ def _repair(given: Inputs) -> float:
 
 def _divisor(given: Inputs) -> float:
     albedo, options = given["albedo"], SPEC.demodulate
-    got = demodulate.divisor(albedo, options)
+    got = demodulate.demodulation_albedo(albedo, options)
     wanted = np.clip(albedo.astype(np.float64), options.floor, 1)
     wanted[(albedo <= options.black).all(-1)] = 1
     return _relative(got, wanted)
 
 
 def _modulate(given: Inputs) -> float:
-    by = demodulate.divisor(given["albedo"], SPEC.demodulate)
+    by = demodulate.demodulation_albedo(given["albedo"], SPEC.demodulate)
     return _relative(given["radiance"] / by * by, given["radiance"].astype(np.float64))
 
 
@@ -197,12 +197,12 @@ def _reproject(given: Inputs) -> float:
     motion = np.round(given["at"] * 256) / np.float32(256)
     history = np.dstack([given["past"], given["held"]])
     packed = reproject.pack(before, depth)
-    rough = np.zeros((shape[0] + 1, shape[1] + 1), np.uint8)
+    discontinuous = np.zeros((shape[0] + 1, shape[1] + 1), np.uint8)
     rows = slice(0, shape[0])
-    reproject.rough_blocks(packed, rows, rough)
+    reproject.mark_discontinuities(packed, rows, discontinuous)
     positions = reproject.positions_of(motion, rows)
     now = planes_of(reproject.pack(normal, depth))
-    got = reproject.reproject(history, packed, rough, now, positions, rows, SPEC.temporal)
+    got = reproject.reproject(history, packed, discontinuous, now, positions, rows, SPEC.temporal)
     wanted = oracles.reproject(history, before, depth, normal, depth, motion, SPEC.temporal)
     return _relative(got, wanted)
 
@@ -213,10 +213,10 @@ def _positions(given: Inputs, steps: int) -> np.ndarray:
     return reproject.positions_of(motion, slice(0, motion.shape[0]))
 
 
-def _recall(given: Inputs) -> float:
-    output = recall.remember(given["past"], _STRIPS)
+def _resample(given: Inputs) -> float:
+    output = previous_output.keep(given["past"], _STRIPS)
     positions = _positions(given, 256)
-    got = recall.recall(output, positions, _STRIPS)
+    got = previous_output.resample(output, positions, _STRIPS)
     height, width = output.shape[:2]
     wanted = np.zeros(output.shape)
     for y, x in np.ndindex(height, width):
@@ -231,22 +231,22 @@ def _recall(given: Inputs) -> float:
     return _relative(got, wanted)
 
 
-def _antialias(given: Inputs) -> float:
-    by = demodulate.divisor(given["albedo"], SPEC.demodulate)
-    before = demodulate.divisor(given["before"], SPEC.demodulate)
-    past, positions = recall.remember(before, _STRIPS), _positions(given, 256)
+def _accumulate_albedo(given: Inputs) -> float:
+    by = demodulate.demodulation_albedo(given["albedo"], SPEC.demodulate)
+    before = demodulate.demodulation_albedo(given["before"], SPEC.demodulate)
+    past, positions = previous_output.keep(before, _STRIPS), _positions(given, 256)
     samples = SPEC.temporal.albedo_samples
     got, picture = np.empty_like(past), np.empty_like(by)
-    antialias.accumulate(by, past, samples, positions, got, picture, _STRIPS)
-    wanted, _ = oracles.antialiased(by, past, samples, positions)
+    albedo_history.accumulate(by, past, samples, positions, got, picture, _STRIPS)
+    wanted, _ = oracles.accumulated_albedo(by, past, samples, positions)
     return _relative(got, wanted)
 
 
-def _sharp_recall(given: Inputs) -> float:
-    output = recall.remember(given["past"], _STRIPS)
+def _sharp_resample(given: Inputs) -> float:
+    output = previous_output.keep(given["past"], _STRIPS)
     positions = _positions(given, 32)  # what cubic convolution rounds to itself
-    got = recall.recall(output, positions, _STRIPS, sharp=True)
-    wanted, brightest = oracles.sharp_recall(output, positions)
+    got = previous_output.resample(output, positions, _STRIPS, sharp=True)
+    wanted, brightest = oracles.sharp_resample(output, positions)
     return float((np.abs(got - wanted).max(-1) / np.maximum(brightest, 1e-30)).max())
 
 
@@ -266,7 +266,7 @@ def _pyramid(given: Inputs) -> float:
     assert isinstance(_PYRAMID, PyramidKernels)
     mean, sample = (np.dstack([given[n], given["held"]]) for n in ("light", "new"))
     sample = planes_of(sample)
-    by = demodulate.divisor(given["albedo"], SPEC.demodulate)
+    by = demodulate.demodulation_albedo(given["albedo"], SPEC.demodulate)
     past = np.dstack([given["past"], given["valid"]])
     logits, start = [], 0
     for level in range(2):
@@ -275,7 +275,7 @@ def _pyramid(given: Inputs) -> float:
         part = given["logits"][start : start + count * size[0] * size[1]]
         logits.append(part.reshape(count, *size))
         start += part.size
-    light = Filterable(mean=mean, sample=sample, modulator=by, previous=past)
+    light = Filterable(mean=mean, sample=sample, remodulation_albedo=by, previous=past)
     got = pyramid.filter_pyramid(light, logits, _PYRAMID, _STRIPS)
     wanted = oracles.kernel_pyramid(mean, sample, by, past, logits, _PYRAMID)
     return _relative(got, wanted)
@@ -327,7 +327,7 @@ OPERATORS = [
         ranges={"albedo": ((_H, _W, 3), 1e-5, 1, True)},
     ),
     Operator(
-        name="demodulate, then modulate", error=_modulate, limit=2e-7,
+        name="demodulate, then remodulate", error=_modulate, limit=2e-7,
         ranges={"albedo": ((_H, _W, 3), 1e-5, 1, True), "radiance": _radiance(_H, _W, 3)},
     ),
     Operator(
@@ -373,18 +373,19 @@ OPERATORS = [
         },
     ),
     Operator(
-        name="recall", error=_recall, limit=2e-5,
+        name="resample output", error=_resample, limit=2e-5,
         ranges={"past": _radiance(_H, _W, 3), "at": ((_H, _W, 2), -4, 4, False)},
     ),
     Operator(
-        name="antialias", error=_antialias, limit=2e-5,
+        name="accumulate albedo", error=_accumulate_albedo, limit=2e-5,
         ranges={
             "albedo": ((_H, _W, 3), 1e-5, 1, True), "before": ((_H, _W, 3), 1e-5, 1, True),
             "held": ((_H, _W), 1, 9, False), "at": ((_H, _W, 2), -4, 4, False),
         },
     ),
     Operator(
-        name="sharp recall", error=_sharp_recall, limit=2e-5, unit="the brightest of 4x4",
+        name="resample output, sharp", error=_sharp_resample, limit=2e-5,
+        unit="the brightest of 4x4",
         ranges={"past": _radiance(_H, _W, 3), "at": ((_H, _W, 2), -4, 4, False)},
     ),
     Operator(

@@ -85,12 +85,12 @@ def cubic_weight(distance: float) -> float:
     return a * (d**3 - 5 * d**2 + 8 * d - 4) if d < 2 else 0.0
 
 
-def antialiased(
-    divisor: np.ndarray, past: np.ndarray, samples: float, positions: np.ndarray
+def accumulated_albedo(
+    albedo: np.ndarray, past: np.ndarray, samples: float, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """What `albedo_history.accumulate` remembers and multiplies by, pixel by pixel."""
-    height, width = divisor.shape[:2]
-    result, modulator = np.ones((height, width, 4)), np.zeros((height, width, 3))
+    height, width = albedo.shape[:2]
+    result, remodulation_albedo = np.ones((height, width, 4)), np.zeros((height, width, 3))
     for y, x in np.ndindex(height, width):
         at_x, at_y = map(float, positions[y, x])
         left, top = int(np.floor(at_x)), int(np.floor(at_y))
@@ -100,18 +100,18 @@ def antialiased(
                 weight = (1 - abs(at_y - ty)) * (1 - abs(at_x - tx))
                 brought += weight * past[ty, tx, :3].astype(np.float64)
                 inside += weight
-        around = divisor[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].reshape(-1, 3)
+        around = albedo[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].reshape(-1, 3)
         mean = np.clip(brought, around.min(0), around.max(0))
         no_albedo = (around >= 1).all(1)
         held = samples if inside >= 1 - 1e-3 else 0
-        result[y, x, :3] = modulator[y, x] = (held * mean + divisor[y, x]) / (held + 1)
+        result[y, x, :3] = remodulation_albedo[y, x] = (held * mean + albedo[y, x]) / (held + 1)
         if no_albedo.any() and not no_albedo.all():
-            modulator[y, x] = np.minimum(modulator[y, x], divisor[y, x])
-    return result, modulator
+            remodulation_albedo[y, x] = np.minimum(remodulation_albedo[y, x], albedo[y, x])
+    return result, remodulation_albedo
 
 
-def sharp_recall(output: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`stillray.stages.previous_output.recall`, sharp, pixel by pixel; and the brightest of the
+def sharp_resample(output: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`stillray.stages.previous_output.resample`, sharp, pixel by pixel; and the brightest of the
     pixels it meets.
 
     The mean of the four pixels around, with the luminance of cubic convolution, limited to the
@@ -150,7 +150,7 @@ def sharp_recall(output: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray,
 def kernel_pyramid(
     mean: np.ndarray,
     sample: np.ndarray,
-    divisor: np.ndarray,
+    albedo: np.ndarray,
     previous: np.ndarray,
     logits: list[np.ndarray],
     options: PyramidKernels,
@@ -225,7 +225,7 @@ def kernel_pyramid(
                     shares.append(own[8 * (place - len(distances)) + index, y, x])
             blended[y, x] = np.average(choices, axis=0, weights=shares)
         result = blended
-    radiance = result[:height, :width] * divisor
+    radiance = result[:height, :width] * albedo
     resolved = np.zeros_like(radiance)
     for y, x in np.ndindex(height, width):
         choices = [radiance[y, x], previous[y, x, :3].astype(np.float64)]

@@ -170,7 +170,7 @@ def _in_runtime(
     light = Filterable(
         mean=interleaved("irradiance", "samples"),
         sample=np.concatenate([arrays[name][0] for name in ("new", "worth")]),
-        modulator=interleaved("divisor") if FAMILIES[spec.family].modulates else None,
+        remodulation_albedo=interleaved("divisor") if FAMILIES[spec.family].modulates else None,
         previous=interleaved("previous", "valid") if model.looks.previous_output else None,
     )
     return model.reconstruct(light, logits, Strips(1), {})

@@ -40,7 +40,7 @@ def test_each_thread_has_scratch_of_its_own():
     strips, barrier = Strips(2), threading.Barrier(2, timeout=30)
 
     def work(rows):
-        mine = strips.scratch.array("x", (4,))
+        mine = strips.workspace.array("x", (4,))
         mine.fill(rows.start)
         barrier.wait()  # both threads hold theirs now
         return mine.copy()

@@ -98,8 +98,8 @@ def test_dry_run_says_frames_layers_and_stages_and_writes_nothing(shot, capsys):
         {stage["name"]: stage for stage in facts[which]}
         for which in ("stages_first", "stages_following")
     )
-    assert not first["warp"]["runs"]
-    assert following["warp"]["runs"]
+    assert not first["reproject"]["runs"]
+    assert following["reproject"]["runs"]
     assert all(stage["reason"] for stage in first.values())
     assert main([*command, "--dry-run"]) == 0
     text = capsys.readouterr().out

@@ -18,7 +18,7 @@ from stillray import cli
 from stillray.compare import metrics
 from stillray.errors import InputError
 from stillray.io.exr.read_write import read_exr
-from stillray.models.registry import find_model, tuned
+from stillray.models.registry import find_model, with_overrides
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training import tradeoff
 from stillray_training.pareto import Priced, advice, pareto_front
@@ -88,7 +88,10 @@ def test_advice_is_a_sentence_to_act_on():
 def test_fewer_kernels_are_the_first_ones(rng):
     info = find_model("wskp-3")
     frame = make_frame(33, 18)
-    with Denoiser(tuned(info, kernels=1)) as one, Denoiser(tuned(info, kernels=6)) as all_of_them:
+    with (
+        Denoiser(with_overrides(info, kernels=1)) as one,
+        Denoiser(with_overrides(info, kernels=6)) as all_of_them,
+    ):
         image = one.denoise(frame)
         with Denoiser(info) as plain:
             np.testing.assert_array_equal(all_of_them.denoise(frame), plain.denoise(frame))
@@ -96,7 +99,7 @@ def test_fewer_kernels_are_the_first_ones(rng):
     assert frame.albedo is not None
     dark = frame.color.copy()
     dark[:, 9:] = 0
-    with Denoiser(tuned(info, kernels=1)) as one:
+    with Denoiser(with_overrides(info, kernels=1)) as one:
         clean = one.denoise(stillray.Frame(color=dark, albedo=frame.albedo))
     assert clean[:, :9].max() > 0
     assert (clean[:, 10:] == 0).all()
@@ -106,7 +109,7 @@ def test_fewer_kernels_are_the_first_ones(rng):
 def test_a_short_history_forgets():
     info = find_model("wskp-3")
     for samples in (1, 16):
-        with Denoiser(tuned(info, max_samples=samples)) as denoiser:
+        with Denoiser(with_overrides(info, max_samples=samples)) as denoiser:
             for index in range(8):
                 denoiser.denoise(make_frame(33, 18, index))
             held = remembered(denoiser).mean[..., 3].max()
@@ -117,11 +120,11 @@ def test_a_short_history_forgets():
 
 def test_settings_that_a_model_does_not_have_are_refused():
     with pytest.raises(InputError, match="kernels must be 1 to the 6 that wskp-3 fuses, got 7"):
-        tuned(find_model("wskp-3"), kernels=7)
+        with_overrides(find_model("wskp-3"), kernels=7)
     with pytest.raises(InputError, match="kernels must be 1 to the 0 that kpyr-5 fuses, got 1"):
-        tuned(find_model("high"), kernels=1)
+        with_overrides(find_model("high"), kernels=1)
     with pytest.raises(InputError, match=r"max_samples must be 1 or more, got 0\.5"):
-        tuned(find_model("wskp-3"), max_samples=0.5)
+        with_overrides(find_model("wskp-3"), max_samples=0.5)
 
 
 @pytest.fixture(autouse=True)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stillray.arrays.strips import Strips
-from stillray.families.depth_to_space import Blocks
+from stillray.families.depth_to_space import DepthToSpace
 from stillray.families.fused_kernels import FusedKernelsModel
 from stillray.model_spec import load
 from stillray.stages.state import Filterable
@@ -27,7 +27,7 @@ def by_blocks(maps):
 def test_windows_of_blocks_are_those_of_the_maps(data):
     height, width = (data.draw(st.integers(1, 12)) for _ in range(2))
     maps = np.random.default_rng(0).random((3, height, width), np.float32)
-    blocks = Blocks(by_blocks(maps), Strips(1))
+    blocks = DepthToSpace(by_blocks(maps), Strips(1))
     assert blocks.shape[1] - height in (0, 1)
     rows = _some(data, height)
     near = blocks.near(rows, width)

@@ -16,20 +16,20 @@ from tests.families.test_depth_to_space import by_blocks
 OPTIONS = load("kpyr-5").decoder
 
 
-def filtered(mean, sample, divisor, previous, logits, options, strips):
-    light = Filterable(mean=mean, sample=sample, modulator=divisor, previous=previous)
+def filtered(mean, sample, albedo, previous, logits, options, strips):
+    light = Filterable(mean=mean, sample=sample, remodulation_albedo=albedo, previous=previous)
     image = pyramid.filter_pyramid(light, logits, options, strips)
     few_rows = Strips(1, pixels=2 * mean.shape[1])
     np.testing.assert_array_equal(pyramid.filter_pyramid(light, logits, options, few_rows), image)
     return image
 
 
-RENEW = level_layout(0, 3, OPTIONS).renew
+SAMPLE_BLEND = level_layout(0, 3, OPTIONS).sample_blend
 LEVELS = 3  # what is tested holds for any number; three keep the oracle quick
 
 
 def draw(height, width, seed=0, spread=2.0, options=OPTIONS):
-    """Random decoder input: mean, sample, divisor, previous output, logits of the padded size."""
+    """Random decoder input: mean, sample, albedo, previous output, logits of the padded size."""
     rng = np.random.default_rng(seed)
     step = 1 << (LEVELS - 1)
     padded = [-(-size // step) * step for size in (height, width)]
@@ -39,7 +39,7 @@ def draw(height, width, seed=0, spread=2.0, options=OPTIONS):
     sample = np.concatenate(
         [rng.lognormal(0, 3, (3, height, width)), rng.uniform(1e-6, 1, (1, height, width))]
     )
-    divisor = rng.uniform(0.1, 1, (height, width, 3))
+    albedo = rng.uniform(0.1, 1, (height, width, 3))
     previous = np.dstack(
         [rng.lognormal(0, 2, (height, width, 3)), rng.uniform(0, 1, (height, width))]
     )
@@ -53,16 +53,16 @@ def draw(height, width, seed=0, spread=2.0, options=OPTIONS):
         * spread
         for level in range(LEVELS)
     ]
-    single = [array.astype(np.float32) for array in (mean, sample, divisor, previous)]
+    single = [array.astype(np.float32) for array in (mean, sample, albedo, previous)]
     return (*single, [level.astype(np.float32) for level in logits])
 
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (3, 5), (9, 14), (16, 8)])
 @pytest.mark.parametrize("spread", [2.0, 1e4])
 def test_pyramid_equals_the_loop_oracle(height, width, spread):
-    mean, sample, divisor, previous, logits = draw(height, width, spread=spread)
-    got = filtered(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
-    expected = oracles.kernel_pyramid(mean, sample, divisor, previous, logits, OPTIONS)
+    mean, sample, albedo, previous, logits = draw(height, width, spread=spread)
+    got = filtered(mean, sample, albedo, previous, logits, OPTIONS, Strips(1))
+    expected = oracles.kernel_pyramid(mean, sample, albedo, previous, logits, OPTIONS)
     # float32 sums of at most 25 products at each of three levels
     np.testing.assert_allclose(got, expected, rtol=5e-6)
 
@@ -124,7 +124,7 @@ def coarser_alone(light, beside, above):
         np.zeros((layout.double.stop, height * scale, width * scale), np.float32)
         for layout, scale in zip(layouts, (2, 1), strict=True)
     ]
-    for part in (layouts[0].blend, layouts[0].resolve, layouts[0].renew):
+    for part in (layouts[0].blend, layouts[0].resolve, layouts[0].sample_blend):
         logits[0][part] = -1e9
     logits[1][layouts[1].double] = np.concatenate([beside, above])
     mean = np.dstack([fine, np.ones(fine.shape[:2])]).astype(np.float32)
@@ -157,9 +157,9 @@ def test_doubling_takes_nothing_from_beyond_an_edge_that_the_network_found():
 
 
 def test_threads_and_strips_do_not_change_the_picture():
-    mean, sample, divisor, previous, logits = draw(150, 70)
-    one = filtered(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
-    three = filtered(mean, sample, divisor, previous, logits, OPTIONS, Strips(3))
+    mean, sample, albedo, previous, logits = draw(150, 70)
+    one = filtered(mean, sample, albedo, previous, logits, OPTIONS, Strips(1))
+    three = filtered(mean, sample, albedo, previous, logits, OPTIONS, Strips(3))
     np.testing.assert_array_equal(one, three)
 
 
@@ -183,31 +183,31 @@ def test_no_light_is_invented(seed):
 
 
 def test_a_logit_that_is_not_a_number_says_nothing():
-    mean, sample, divisor, previous, logits = draw(9, 14)
+    mean, sample, albedo, previous, logits = draw(9, 14)
     logits[1][2, 1, 1] = np.nan
     zero = [level.copy() for level in logits]
     zero[1][2, 1, 1] = 0
     got, expected = (
-        filtered(mean, sample, divisor, previous, maps, OPTIONS, Strips(1))
+        filtered(mean, sample, albedo, previous, maps, OPTIONS, Strips(1))
         for maps in (logits, zero)
     )
     np.testing.assert_array_equal(got, expected)
 
 
 def test_invalid_previous_output_is_not_used():
-    mean, sample, divisor, previous, logits = draw(9, 14)
+    mean, sample, albedo, previous, logits = draw(9, 14)
     previous[..., 3] = 0
-    got = filtered(mean, sample, divisor, previous, logits, OPTIONS, Strips(1))
-    without = filtered(mean, sample, divisor, None, logits, OPTIONS, Strips(1))
+    got = filtered(mean, sample, albedo, previous, logits, OPTIONS, Strips(1))
+    without = filtered(mean, sample, albedo, None, logits, OPTIONS, Strips(1))
     np.testing.assert_array_equal(got, without)
 
 
 def test_one_frame_alone_needs_no_sample_beside_itself():
-    mean, _, divisor, previous, logits = draw(9, 14)
-    alone = filtered(mean, None, divisor, previous, logits, OPTIONS, Strips(1))
-    logits[0][RENEW] = -100  # nothing is renewed: the accumulated light is left as it is
+    mean, _, albedo, previous, logits = draw(9, 14)
+    alone = filtered(mean, None, albedo, previous, logits, OPTIONS, Strips(1))
+    logits[0][SAMPLE_BLEND] = -100  # nothing is renewed: the accumulated light is left as it is
     same = planes_of(mean)
-    got = filtered(mean, same, divisor, previous, logits, OPTIONS, Strips(1))
+    got = filtered(mean, same, albedo, previous, logits, OPTIONS, Strips(1))
     # the bound of the logits leaves a share of exp(-8), which changes the samples held
     np.testing.assert_allclose(got, alone, rtol=1e-2)
 
@@ -216,6 +216,6 @@ def test_a_past_that_does_not_hold_can_be_let_go():
     mean, sample, _, _, logits = draw(9, 14)
     mean[..., :3], sample[:3] = 5.0, 1.0
     mean[..., 3], sample[3] = 17.0, 1.0
-    logits[0][RENEW] = 100
+    logits[0][SAMPLE_BLEND] = 100
     got = filtered(mean, sample, None, None, logits, OPTIONS, Strips(1))
     assert got.max() < 1.03  # exp(8) to 17

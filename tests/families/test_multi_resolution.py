@@ -33,8 +33,8 @@ def draw(height, width, seed=0, spread=2.0, light=2.0):
     return mean.astype(np.float32), [level.astype(np.float32) for level in logits]
 
 
-def run(mean, logits, spec=SPEC, threads=1, divisor=None):
-    light = Filterable(mean=mean, modulator=divisor)
+def run(mean, logits, spec=SPEC, threads=1, albedo=None):
+    light = Filterable(mean=mean, remodulation_albedo=albedo)
     model = MultiResolutionModel(spec)
     image = model.reconstruct(light, logits, Strips(threads), {})
     few_rows = Strips(1, pixels=4 * mean.shape[1])
@@ -112,10 +112,10 @@ def test_a_logit_that_is_not_a_number_says_nothing(plane):
 
 def test_threads_and_strips_do_not_change_the_picture():
     mean, logits = draw(301, 70)
-    divisor = np.random.default_rng(1).uniform(0.1, 1, (301, 70, 3)).astype(np.float32)
-    one, three = (run(mean, logits, threads=threads, divisor=divisor) for threads in (1, 3))
+    albedo = np.random.default_rng(1).uniform(0.1, 1, (301, 70, 3)).astype(np.float32)
+    one, three = (run(mean, logits, threads=threads, albedo=albedo) for threads in (1, 3))
     np.testing.assert_array_equal(one, three)
-    np.testing.assert_array_equal(one, run(mean, logits) * divisor)
+    np.testing.assert_array_equal(one, run(mean, logits) * albedo)
 
 
 def test_parts_of_the_light_add_up_when_filtered_as_the_whole_was():

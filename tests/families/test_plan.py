@@ -83,7 +83,7 @@ def test_a_first_frame_of_layers_is_said_to_begin_anew(model):
             told = said(denoiser, given, LAYERS)
             denoiser.denoise_layers(given, LAYERS)
             assert told == set(denoiser.last_timings)
-            assert ("warp" in told) != began
+            assert ("reproject" in told) != began
             assert "layers" in told
 
 
@@ -92,9 +92,9 @@ def test_after_a_reset_and_after_a_state_put_back(model):
         denoiser.denoise(frame())
         kept = denoiser.state
         denoiser.reset()
-        assert "warp" not in said(denoiser, frame(1))
+        assert "reproject" not in said(denoiser, frame(1))
         denoiser.state = kept
-        assert "warp" in said(denoiser, frame(1))
+        assert "reproject" in said(denoiser, frame(1))
 
 
 def test_asking_changes_nothing(model):

@@ -39,8 +39,12 @@ def stream(model, strips, engine):
         layer = step.filter_layer("half", frame.color / 2)
         state = step.finish()
         past = state.temporal
-        found.append((step.image, layer, past.mean, past.guides, past.output, past.divisor))
-        assert {"reject", "mirror", "warp"} <= set(context.timings) or len(found) == 1
+        found.append(
+            (step.image, layer, past.mean, past.surface_guides, past.output, past.mean_albedo)
+        )
+        assert {"reject_history", "specular_motion", "reproject"} <= set(context.timings) or len(
+            found
+        ) == 1
     return found
 
 

@@ -120,10 +120,10 @@ def apart(images: object, wanted: object) -> float:
 
 def accumulated(denoiser: stillray.Denoiser, frame: Frame) -> np.ndarray:
     """Radiance as accumulated, before the kernels."""
-    from stillray.stages.demodulate import divisor
+    from stillray.stages.demodulate import demodulation_albedo
 
     mean = remembered(denoiser).mean[..., :3]
     if frame.albedo is None:
         return mean
     albedo = np.clip(frame.albedo, 0, 1)
-    return mean * divisor(albedo, denoiser.model.spec.demodulate)
+    return mean * demodulation_albedo(albedo, denoiser.model.spec.demodulate)

@@ -207,13 +207,13 @@ def test_a_history_that_nobody_holds_is_written_over_without_a_trace(denoiser):
             (
                 remembered(denoiser),
                 remembered(denoiser).mean.copy(),
-                remembered(denoiser).guides.copy(),
+                remembered(denoiser).surface_guides.copy(),
             )
         )
     np.testing.assert_array_equal(watched, alone)
-    for history, mean, guides in kept:
+    for history, mean, surface_guides in kept:
         np.testing.assert_array_equal(history.mean, mean)
-        np.testing.assert_array_equal(history.guides, guides)
+        np.testing.assert_array_equal(history.surface_guides, surface_guides)
 
 
 def test_pictures_are_the_caller_s(denoiser):
@@ -294,14 +294,14 @@ def _runs(denoiser, frame):
 def test_stages_that_a_frame_does_not_call_for_are_not_run(denoiser):
     plain = Frame(color=np.ones((9, 9, 3)))
     denoiser.denoise(plain)
-    assert {"warp", "demodulate", "modulate", "upscale"}.isdisjoint(denoiser.last_timings)
+    assert {"reproject", "demodulate", "remodulate", "upscale"}.isdisjoint(denoiser.last_timings)
     assert not _runs(denoiser, plain)["demodulate"]
     frame = make_frame(9, 9, 0, shift=1.0)
     assert not _runs(denoiser, frame)["repair"]
-    assert _runs(denoiser, frame)["warp"]
+    assert _runs(denoiser, frame)["reproject"]
     denoiser.denoise(frame)
-    assert "warp" in denoiser.last_timings
-    assert ("modulate" in denoiser.last_timings) == _runs(denoiser, frame)["modulate"]
+    assert "reproject" in denoiser.last_timings
+    assert ("remodulate" in denoiser.last_timings) == _runs(denoiser, frame)["remodulate"]
     broken = Frame(color=np.full((9, 9, 3), np.nan))
     assert _runs(denoiser, broken)["repair"]
     assert all(stage.reason for stage in denoiser.stages(frame))

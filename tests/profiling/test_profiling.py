@@ -17,12 +17,12 @@ from stillray.models.registry import find_model
 from stillray.profiling import measure as measuring
 from stillray.profiling import plot, scaling
 from stillray.profiling.clip import Clip, open_clip, write_frame
-from stillray.profiling.machine import Peaks
+from stillray.profiling.cost import Cost
+from stillray.profiling.machine import PeakRates
 from stillray.profiling.measure import ORDER, REST, TOTAL, Run, Setting, Summary, measure
 from stillray.profiling.results import Result
 from stillray.profiling.scaling import Curve, fitted_exponent, in_words
 from stillray.profiling.synthetic import swing, tiled
-from stillray.profiling.work import Work
 from stillray.stages import reproject as rep
 
 SIZE = 36, 64
@@ -153,8 +153,8 @@ def test_settings_are_measured_in_turn_and_nothing_is_unaccounted_for():
     runs = measure(settings, open_clip(size=SIZE), 0, progress=rounds.append)
     assert rounds == [1, 2, 3]
     with_past, alone = (run.stages() for run in runs)
-    assert {"warp", "accumulate", "read", "write", REST} <= set(with_past)
-    assert "warp" not in alone
+    assert {"reproject", "accumulate", "read", "write", REST} <= set(with_past)
+    assert "reproject" not in alone
     assert list(with_past) == [name for name in (*ORDER, TOTAL) if name in with_past]
     for run in runs:
         for row in (run.first, *run.warm):
@@ -174,18 +174,18 @@ def _result(model="fast", temporal=True):
         files={"read": [9.0], "write": [8.0]},
     )
     work = {
-        "network": Work(operations=2e9, bytes=1e6),
-        "reconstruct": Work(operations=1e6, bytes=4e6),
+        "network": Cost(operations=2e9, bytes=1e6),
+        "reconstruct": Cost(operations=1e6, bytes=4e6),
     }
-    return Result(run=run, work=work, peaks=Peaks(operations=1e11, bandwidth=1e9), memory=None)
+    return Result(run=run, work=work, peaks=PeakRates(operations=1e11, bandwidth=1e9), memory=None)
 
 
 def test_the_floor_of_a_frame_is_that_of_its_stages():
     result = _result()
-    assert result.floor("network") == pytest.approx(20)
-    assert result.floor("reconstruct") == pytest.approx(4)
-    assert result.floor(REST) is None
-    assert result.floor(TOTAL) == pytest.approx(24)
+    assert result.roofline("network") == pytest.approx(20)
+    assert result.roofline("reconstruct") == pytest.approx(4)
+    assert result.roofline(REST) is None
+    assert result.roofline(TOTAL) == pytest.approx(24)
 
 
 def test_a_profile_is_drawn(tmp_path):
@@ -235,9 +235,9 @@ def test_profile_reports_every_stage_as_json_and_as_a_table(capsys):
     network = run["stages"]["network"]
     products = 36 * 8 * 32 + 9 * (32 * 32 + 32 * 4 * 12)  # of 2x2 pixels
     assert network["operations"] == 2 * products * 18 * 32
-    floor = 1e3 * network["operations"] / run["peaks"]["operations"]
-    assert network["floor"] == pytest.approx(floor)
-    assert network["ratio"] == pytest.approx(network["median"] / floor)
+    roofline = 1e3 * network["operations"] / run["peaks"]["operations"]
+    assert network["roofline"] == pytest.approx(roofline)
+    assert network["ratio"] == pytest.approx(network["median"] / roofline)
     assert network["median"] <= network["p95"] <= network["p99"] <= network["worst"]
     assert cli.main([*options, "--no-memory"]) == 0
     table = capsys.readouterr().out
@@ -272,7 +272,7 @@ def test_a_user_s_own_file_is_profiled_at_its_size(tmp_path, capsys):
     (run,) = json.loads(capsys.readouterr().out)["runs"]
     assert (run["height"], run["width"]) == SIZE
     assert run["buffers"] == ["color"]
-    assert "warp" not in run["stages"]
+    assert "reproject" not in run["stages"]
 
 
 @pytest.mark.parametrize(

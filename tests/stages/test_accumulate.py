@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from stillray.arrays.strips import planes_of
-from stillray.stages.accumulate import FIRST_SHARE, MIN_WEIGHT, accumulate, bound, sample_weight
+from stillray.stages.accumulate import (
+    FIRST_SHARE,
+    MIN_WEIGHT,
+    accumulate,
+    clamp_fireflies,
+    sample_weight,
+)
 
 
 def _run(frames, options):
@@ -42,8 +48,8 @@ def test_pixels_without_a_past_keep_their_sample(spec):
     np.testing.assert_allclose(planes[:, 0, 0], [7, 7, 7, 4])
 
 
-def _bound(irradiance, weight):
-    return bound(irradiance, weight, np.empty_like(irradiance))
+def _clamped(irradiance, weight):
+    return clamp_fireflies(irradiance, weight, np.empty_like(irradiance))
 
 
 def _weights(light, local, held, options, exposure=1.0):
@@ -89,7 +95,7 @@ def test_one_firefly_moves_a_mean_of_any_age_by_no_more_than_a_first_sample_may(
         planes[3] = held
         light = np.full((1, 1), 1e30, np.float32)
         weight = _weights(light, 0.5, held, options)
-        accumulate(planes_of(_bound(np.dstack([light] * 3), weight)), weight, planes, options)
+        accumulate(planes_of(_clamped(np.dstack([light] * 3), weight)), weight, planes, options)
         # (1 + n) / n of it, and nothing for the weight of the firefly itself
         assert planes[0, 0, 0] <= 1 + FIRST_SHARE * options.outlier_ratio * 1.02 * (1 + held) / held
 
@@ -114,10 +120,10 @@ def test_ordinary_noise_keeps_its_energy(spec, rng):
 def test_too_low_a_weight_makes_the_sample_darker_instead(rng):
     irradiance = rng.random((3, 4, 3)).astype(np.float32)
     weight = np.full((3, 4), 0.5, np.float32)
-    assert _bound(irradiance, weight) is irradiance
+    assert _clamped(irradiance, weight) is irradiance
     weight[1, 2] = MIN_WEIGHT / 1000
     before, products = irradiance.copy(), irradiance * weight[..., None]
-    bounded = _bound(irradiance, weight)
+    bounded = _clamped(irradiance, weight)
     np.testing.assert_array_equal(irradiance, before)
     assert weight.min() == np.float32(MIN_WEIGHT)
     np.testing.assert_allclose(bounded * weight[..., None], products, rtol=1e-6)

@@ -9,7 +9,7 @@ import stillray
 from stillray.arrays.strips import Strips
 from stillray.frame import Frame
 from stillray.model_spec import load
-from stillray.stages import albedo_history as antialias
+from stillray.stages import albedo_history
 from stillray.stages.reproject import positions_of
 from tests import oracles
 from tests.conftest import remembered
@@ -17,20 +17,26 @@ from tests.conftest import remembered
 OPTIONS = load("wskp-3").temporal
 
 
-def accumulate(divisor, past, positions=None, threads=1, samples=OPTIONS.albedo_samples):
-    remembered, modulator = np.empty_like(past), np.empty_like(divisor)
-    antialias.accumulate(
-        divisor, past, samples, positions, remembered, modulator, Strips(threads, pixels=60)
+def accumulate(albedo, past, positions=None, threads=1, samples=OPTIONS.albedo_samples):
+    next_albedo, remodulation_albedo = np.empty_like(past), np.empty_like(albedo)
+    albedo_history.accumulate(
+        albedo,
+        past,
+        samples,
+        positions,
+        next_albedo,
+        remodulation_albedo,
+        Strips(threads, pixels=60),
     )
-    return remembered, modulator
+    return next_albedo, remodulation_albedo
 
 
 def draw(rng, height, width):
-    divisor = rng.uniform(0.1, 1, (height, width, 3)).astype(np.float32)
-    divisor[rng.random((height, width)) < 0.03] = 1  # what has no albedo
+    albedo = rng.uniform(0.1, 1, (height, width, 3)).astype(np.float32)
+    albedo[rng.random((height, width)) < 0.03] = 1  # what has no albedo
     past = rng.uniform(0.1, 1, (height, width, 4)).astype(np.float32)
     past[..., 3] = 1
-    return divisor, past
+    return albedo, past
 
 
 def moved(rng, height, width, far):
@@ -44,29 +50,29 @@ def moved(rng, height, width, far):
 @pytest.mark.parametrize("moves", [True, False])
 @pytest.mark.parametrize("threads", [1, 3])
 def test_the_mean_equals_the_loop_oracle(rng, height, width, moves, threads):
-    divisor, past = draw(rng, height, width)
+    albedo, past = draw(rng, height, width)
     positions = moved(rng, height, width, far=5 if moves else 0)
-    found = accumulate(divisor, past, positions if moves else None, threads, samples=2.5)
-    expected = oracles.antialiased(divisor, past, 2.5, positions)
+    found = accumulate(albedo, past, positions if moves else None, threads, samples=2.5)
+    expected = oracles.accumulated_albedo(albedo, past, 2.5, positions)
     for got, wanted in zip(found, expected, strict=True):
         np.testing.assert_allclose(got, wanted, rtol=2e-6, atol=2e-6)
 
 
 def test_the_mean_stays_in_the_range_of_the_pixels_around(rng):
-    divisor, past = draw(rng, 40, 33)
+    albedo, past = draw(rng, 40, 33)
     past[..., :3] *= 100
-    got, _ = accumulate(divisor, past, moved(rng, 40, 33, far=5))
-    padded = np.pad(divisor, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    got, _ = accumulate(albedo, past, moved(rng, 40, 33, far=5))
+    padded = np.pad(albedo, ((1, 1), (1, 1), (0, 0)), mode="edge")
     around = [padded[a : a + 40, b : b + 33] for a in range(3) for b in range(3)]
     assert (got[..., :3] >= np.min(around, 0) - 1e-6).all()
     assert (got[..., :3] <= np.max(around, 0) + 1e-6).all()
 
 
 def test_what_comes_from_outside_is_this_frame_s_alone(rng):
-    divisor, past = draw(rng, 9, 14)
-    got, modulator = accumulate(divisor, past, np.full((9, 14, 2), 1e6, np.float32))
-    np.testing.assert_allclose(modulator, divisor, rtol=2e-7)
-    np.testing.assert_allclose(got[..., :3], divisor, rtol=2e-7)
+    albedo, past = draw(rng, 9, 14)
+    got, remodulation_albedo = accumulate(albedo, past, np.full((9, 14, 2), 1e6, np.float32))
+    np.testing.assert_allclose(remodulation_albedo, albedo, rtol=2e-7)
+    np.testing.assert_allclose(got[..., :3], albedo, rtol=2e-7)
 
 
 def test_beside_what_has_no_albedo_nothing_gets_brighter():
@@ -74,24 +80,24 @@ def test_beside_what_has_no_albedo_nothing_gets_brighter():
     past = np.empty((33, 46, 4), np.float32)
     changed = 0
     for index, shift in enumerate(np.random.default_rng(0).random((6, 2))):
-        divisor = np.where(covered(0.4, shift) > 0.5, 0.1, 1.0)[..., None]
-        divisor = np.repeat(divisor, 3, 2).astype(np.float32)
+        albedo = np.where(covered(0.4, shift) > 0.5, 0.1, 1.0)[..., None]
+        albedo = np.repeat(albedo, 3, 2).astype(np.float32)
         if index == 0:
-            antialias.begin(divisor, past)
+            albedo_history.begin(albedo, past)
             continue
-        past, modulator = accumulate(divisor, past)
-        assert (modulator <= divisor).all()
-        changed += int((modulator < divisor).sum())
+        past, remodulation_albedo = accumulate(albedo, past)
+        assert (remodulation_albedo <= albedo).all()
+        changed += int((remodulation_albedo < albedo).sum())
     assert changed
 
 
 def test_an_albedo_that_stays_is_what_it_was(rng):
-    divisor, _ = draw(rng, 9, 14)
-    remembered = np.empty((9, 14, 4), np.float32)
-    antialias.begin(divisor, remembered)
+    albedo, _ = draw(rng, 9, 14)
+    next_albedo = np.empty((9, 14, 4), np.float32)
+    albedo_history.begin(albedo, next_albedo)
     for _ in range(1000):
-        remembered, modulator = accumulate(divisor, remembered)
-    np.testing.assert_allclose(modulator, divisor, rtol=2e-7)
+        next_albedo, remodulation_albedo = accumulate(albedo, next_albedo)
+    np.testing.assert_allclose(remodulation_albedo, albedo, rtol=2e-7)
 
 
 def test_each_of_the_first_frames_counts_alike():
@@ -105,7 +111,7 @@ def test_each_of_the_first_frames_counts_alike():
         for index in range(6):
             albedo = frames[min(index, 1)].astype(np.float32)
             denoiser.denoise(Frame(color=albedo, albedo=albedo, motion=motion))
-            mean = remembered(denoiser).divisor[4, 6, 0]
+            mean = remembered(denoiser).mean_albedo[4, 6, 0]
             held.append((mean - albedo[4, 6, 0]) / (frames[0][4, 6, 0] - albedo[4, 6, 0] + 1e-9))
     # what is left of the first: 1/2, 1/3, ..., until the past is worth no more
     np.testing.assert_allclose(held[1:5], [1 / 2, 1 / 3, 1 / 4, 1 / 5], rtol=1e-4)
@@ -150,10 +156,14 @@ def test_without_motion_or_albedo_or_a_past_it_is_not_run(rng):
     ):
         with stillray.Denoiser("wskp-3", temporal=temporal) as denoiser:
             denoiser.denoise(frame)
-            assert "antialias" not in denoiser.last_timings
+            assert "accumulate_albedo" not in denoiser.last_timings
             planned = {stage.name: stage.runs for stage in denoiser.stages(frame)}
             denoiser.denoise(frame)
-            assert ("antialias" in denoiser.last_timings) == planned["antialias"] == runs
+            assert (
+                ("accumulate_albedo" in denoiser.last_timings)
+                == planned["accumulate_albedo"]
+                == runs
+            )
 
 
 def test_after_a_frame_without_albedo_it_begins_anew(rng):
@@ -164,4 +174,8 @@ def test_after_a_frame_without_albedo_it_begins_anew(rng):
         for runs in (False, True):
             planned = {stage.name: stage.runs for stage in denoiser.stages(frame)}
             denoiser.denoise(frame)
-            assert ("antialias" in denoiser.last_timings) == planned["antialias"] == runs
+            assert (
+                ("accumulate_albedo" in denoiser.last_timings)
+                == planned["accumulate_albedo"]
+                == runs
+            )

@@ -9,7 +9,7 @@ import pytest
 
 import stillray
 from stillray.arrays.strips import Strips
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.model_spec import load
 from stillray.stages import accumulate as acc
 from stillray.stages import history_rejection
@@ -172,7 +172,7 @@ def test_compare_agrees_with_loops(rng, shape):
     weight[rng.random(shape) < 0.1] = 0
     rows, columns = (-(-size // 2) for size in shape)
     out = np.empty((history_rejection.PLANES, rows, columns), np.float32)
-    history_rejection.compare(light, weight, past, 0.5, out, Scratch())
+    history_rejection.compare(light, weight, past, 0.5, out, Workspace())
     np.testing.assert_allclose(
         out, compared_by_loops(light, weight, past, 0.5), rtol=2e-5, atol=2e-6
     )

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillray.arrays.workspace import Scratch
-from stillray.stages.motion_dilation import follow_nearer
+from stillray.arrays.workspace import Workspace
+from stillray.stages.motion_dilation import dilate_motion
 from stillray.stages.reproject import positions_of
 
 
@@ -15,7 +15,7 @@ def followed(motion, depth, strip):
     for top in range(0, height, strip):
         rows = slice(top, min(top + strip, height))
         positions = positions_of(motion[rows], rows)
-        follow_nearer(positions, motion, depth, rows, Scratch())
+        dilate_motion(positions, motion, depth, rows, Workspace())
         parts.append(positions)
     return np.concatenate(parts) - np.dstack(np.meshgrid(np.arange(width), np.arange(height)))
 

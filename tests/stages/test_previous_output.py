@@ -7,7 +7,7 @@ import pytest
 
 from stillray.arrays.strips import Strips
 from stillray.stages import features as encode
-from stillray.stages import previous_output as recall
+from stillray.stages import previous_output
 from stillray.stages.reproject import positions_of
 from tests import oracles
 
@@ -15,7 +15,7 @@ from tests import oracles
 def ramp(height, width):
     """An output whose value tells where it lies; bilinear interpolation of it is exact."""
     row, column = np.mgrid[0:height, 0:width].astype(np.float32)
-    return recall.remember(np.dstack([column, row, np.ones_like(row)]), Strips(1))
+    return previous_output.keep(np.dstack([column, row, np.ones_like(row)]), Strips(1))
 
 
 def moved(motion):
@@ -25,7 +25,7 @@ def moved(motion):
 
 def test_what_is_remembered_is_a_copy_that_is_valid_everywhere(rng):
     image = rng.random((5, 7, 3)).astype(np.float32)
-    output = recall.remember(image, Strips(1))
+    output = previous_output.keep(image, Strips(1))
     expected = image.copy()
     image[...] = -1
     np.testing.assert_array_equal(output[..., :3], expected)
@@ -36,7 +36,9 @@ def test_what_is_remembered_is_a_copy_that_is_valid_everywhere(rng):
 def test_motion_is_followed_to_a_fraction_of_a_pixel(threads):
     height, width = 97, 64
     motion = np.full((height, width, 2), (1.37, -2.81), np.float32)
-    past = recall.recall(ramp(height, width), moved(motion), Strips(threads, pixels=width))
+    past = previous_output.resample(
+        ramp(height, width), moved(motion), Strips(threads, pixels=width)
+    )
     row, column = np.mgrid[3 : height - 3, 3 : width - 3]
     inner = past[3:-3, 3:-3]
     np.testing.assert_allclose(inner[..., 0], column + 1.37, atol=1e-4)
@@ -49,16 +51,16 @@ def test_what_was_outside_is_not_valid():
     motion[:, 0, 0] = -50
     motion[:, 1, 1] = 1e6
     motion[0, 2, 1] = -0.25  # a quarter outside: the mean of the taps that there are
-    past = recall.recall(ramp(6, 8), moved(motion), Strips(1))
+    past = previous_output.resample(ramp(6, 8), moved(motion), Strips(1))
     assert not past[:, :2].any()
     np.testing.assert_allclose(past[0, 2], [2, 0, 1, 0.75], atol=1e-5)
 
 
 def test_nothing_moves_nothing_changes():
     output = ramp(5, 7)
-    past = recall.recall(output, moved(np.zeros((5, 7, 2), np.float32)), Strips(1))
+    past = previous_output.resample(output, moved(np.zeros((5, 7, 2), np.float32)), Strips(1))
     np.testing.assert_array_equal(past, output)
-    past = recall.recall(output, None, Strips(1))
+    past = previous_output.resample(output, None, Strips(1))
     np.testing.assert_array_equal(past, output)
 
 
@@ -68,23 +70,25 @@ def thirty_seconds(rng, shape, far):
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_sharp_recall_equals_the_loop_oracle(rng, threads):
-    output = recall.remember(rng.lognormal(0, 3, (23, 18, 3)).astype(np.float32), Strips(1))
+def test_sharp_resampling_equals_the_loop_oracle(rng, threads):
+    output = previous_output.keep(rng.lognormal(0, 3, (23, 18, 3)).astype(np.float32), Strips(1))
     positions = moved(thirty_seconds(rng, (23, 18), far=5))
-    past = recall.recall(output, positions, Strips(threads, pixels=40), sharp=True)
-    expected, brightest = oracles.sharp_recall(output, positions)
+    past = previous_output.resample(output, positions, Strips(threads, pixels=40), sharp=True)
+    expected, brightest = oracles.sharp_resample(output, positions)
     assert (expected[..., 3] > 0.999).mean() > 0.3
     assert ((expected[..., 3] > 0) & (expected[..., 3] < 1)).any()
     error = np.abs(past - expected).max(-1)
     assert (error <= 2e-6 * np.maximum(brightest, 1)).all()
 
 
-def test_sharp_recall_invents_no_light(rng):
+def test_sharp_resampling_invents_no_light(rng):
     image = rng.lognormal(0, 2, (40, 33, 3)).astype(np.float32)
     image[11, 7] = 1e30
     image[25:, 20:] = 0
     motion = (rng.random((40, 33, 2)) * 9 - 4.5).astype(np.float32)
-    past = recall.recall(recall.remember(image, Strips(1)), moved(motion), Strips(1), sharp=True)
+    past = previous_output.resample(
+        previous_output.keep(image, Strips(1)), moved(motion), Strips(1), sharp=True
+    )
     assert np.isfinite(past).all()
     assert past.min() >= 0
     column, row = (np.arange(size, dtype=np.float32) for size in (33, 40))
@@ -106,7 +110,7 @@ def test_sharp_recall_invents_no_light(rng):
 def test_an_edge_that_moves_half_a_pixel_a_frame_stays_sharp():
     widths = {}
     for sharp in (False, True):
-        output = recall.remember(
+        output = previous_output.keep(
             np.where(np.arange(64) < 20, 0.0, 1.0)[None, :, None]
             .repeat(8, 0)
             .repeat(3, 2)
@@ -115,7 +119,7 @@ def test_an_edge_that_moves_half_a_pixel_a_frame_stays_sharp():
         )
         motion = np.full((8, 64, 2), (-0.5, 0), np.float32)
         for _ in range(16):
-            output = recall.recall(output, moved(motion), Strips(1), sharp=sharp).copy()
+            output = previous_output.resample(output, moved(motion), Strips(1), sharp=sharp).copy()
         line = output[4, 10:, 0]
         widths[sharp] = int(((line > 0.05) & (line < 0.95)).sum())
     assert widths[True] <= widths[False] / 2
@@ -126,13 +130,13 @@ def test_layers_are_recalled_as_the_beauty_was(rng):
     share = rng.random(beauty.shape).astype(np.float32)
     parts = [beauty * share - 1, beauty * (1 - share) + 1]  # one of them has negative values
     motion = (rng.random((31, 22, 2)) * 6 - 3).astype(np.float32)
-    whole = recall.remember(beauty, Strips(1))
+    whole = previous_output.keep(beauty, Strips(1))
     positions = moved(motion)
-    follow = recall.recall_of_layers(whole, positions, Strips(1), sharp=True)
+    follow = previous_output.layer_resampler(whole, positions, Strips(1), sharp=True)
     added = sum(
-        follow(recall.remember(part, Strips(1))).astype(np.float64)[..., :3] for part in parts
+        follow(previous_output.keep(part, Strips(1))).astype(np.float64)[..., :3] for part in parts
     )
-    expected = recall.recall(whole, positions, Strips(1), sharp=True)
+    expected = previous_output.resample(whole, positions, Strips(1), sharp=True)
     valid = expected[..., 3] > 0.01  # below, light fades
     np.testing.assert_allclose(added[valid], expected[..., :3][valid], rtol=1e-5, atol=2e-5)
 
@@ -140,7 +144,7 @@ def test_layers_are_recalled_as_the_beauty_was(rng):
 def test_a_frame_that_comes_from_outside_altogether_is_recalled_as_nothing():
     # more pixels in a strip than OpenCV takes rows
     motion = np.full((300, 400, 2), 1e6, np.float32)
-    past = recall.recall(ramp(300, 400), moved(motion), Strips(1), sharp=True)
+    past = previous_output.resample(ramp(300, 400), moved(motion), Strips(1), sharp=True)
     assert not past.any()
 
 
@@ -160,7 +164,7 @@ def test_what_was_just_uncovered_has_no_past_but_thin_lines_keep_theirs(rng):
     disoccluded[8:12, 21:24] = 1  # wide where it meets the border
     expected[8:12, 21:24] = 0
     given = output.copy()
-    past = recall.forget_uncovered(
+    past = previous_output.forget_uncovered(
         given, given, SimpleNamespace(disoccluded=disoccluded, history_confidence=None)
     )
     np.testing.assert_array_equal(past, expected)

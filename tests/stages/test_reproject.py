@@ -5,7 +5,7 @@ import pytest
 
 from stillray.arrays.strips import planes_of
 from stillray.stages.repair import MAX_MOTION
-from stillray.stages.reproject import pack, reproject, rough_blocks
+from stillray.stages.reproject import mark_discontinuities, pack, reproject
 from tests import oracles
 from tests.conftest import ODD_SIZES
 
@@ -25,14 +25,14 @@ def _guides(normal, depth):
 
 
 def _run(history, before, now, motion, rows, spec):
-    rough = None
+    discontinuous = None
     if before is not None:
-        rough = np.full((history.shape[0] + 1, history.shape[1] + 1), 7, np.uint8)
+        discontinuous = np.full((history.shape[0] + 1, history.shape[1] + 1), 7, np.uint8)
         for top in range(0, history.shape[0], 5):
-            rough_blocks(before, slice(top, min(top + 5, history.shape[0])), rough)
+            mark_discontinuities(before, slice(top, min(top + 5, history.shape[0])), discontinuous)
     now = None if now is None else planes_of(now)
     return reproject(
-        history, before, rough, now, _positions(motion, rows), rows, spec.temporal
+        history, before, discontinuous, now, _positions(motion, rows), rows, spec.temporal
     ).copy()
 
 
@@ -125,13 +125,13 @@ def test_rough_blocks_are_those_with_more_than_one_surface():
     normal[3, 4] = [1, 0, 0]
     depth = np.full((7, 9), 2, np.float32)
     depth[5, 1] = 3
-    rough = np.full((8, 10), 7, np.uint8)
-    rough_blocks(pack(normal, depth), slice(0, 7), rough)
+    discontinuous = np.full((8, 10), 7, np.uint8)
+    mark_discontinuities(pack(normal, depth), slice(0, 7), discontinuous)
     expected = np.zeros((8, 10), np.uint8)
     expected[[0, -1]] = expected[:, [0, -1]] = 1  # blocks that stick out
     expected[3:5, 4:6] = 1  # the four blocks that hold row 3, column 4
     expected[5:7, 1:3] = 1
-    np.testing.assert_array_equal(rough, expected)
+    np.testing.assert_array_equal(discontinuous, expected)
 
 
 @pytest.mark.parametrize("length", [0.3, 0.5, 0.9, 1.2, 1.7])

@@ -9,7 +9,7 @@ import stillray
 from stillray import Frame
 from stillray.arrays.strips import Strips
 from stillray.stages import decide
-from stillray.stages.specular_motion import camera_motion, follow_reflections, has_mirrors
+from stillray.stages.specular_motion import camera_motion, has_mirrors, virtual_motion
 from tests.conftest import remembered
 
 FOCAL = 100.0  # pixels
@@ -66,7 +66,7 @@ def pictures(depth, mirror, factor, seed=1):
 
 def follow(depth, albedo, past, now, motion=None, exposure=0.3):
     motion = motion_of(depth) if motion is None else motion
-    return follow_reflections(
+    return virtual_motion(
         motion,
         depth,
         albedo,
@@ -184,8 +184,8 @@ def test_a_stream_accumulates_what_the_mirror_shows(monkeypatch):
             planned = {stage.name: stage.runs for stage in denoiser.stages(second)}
             denoiser.denoise(second)
             mean = remembered(denoiser).mean[..., 0]
-            assert ("mirror" in denoiser.last_timings) == planned["mirror"]
-        return np.abs(mean - now)[24:38, 28:56].mean(), planned["mirror"]
+            assert ("specular_motion" in denoiser.last_timings) == planned["specular_motion"]
+        return np.abs(mean - now)[24:38, 28:56].mean(), planned["specular_motion"]
 
     followed, ran = stream()
     assert ran

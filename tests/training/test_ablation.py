@@ -147,7 +147,7 @@ def test_predicted_kernels_without_preference_are_a_box_over_accumulated_light(t
     flat = np.zeros((2, 20, 31), np.float32)
     box = kernels.filter_rows(history.mean, flat, slice(0, 20), variant.spec.decoder)
     # float32 sums of 49 products
-    np.testing.assert_allclose(image, box * prepared.modulator, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(image, box * prepared.remodulation_albedo, rtol=1e-4, atol=1e-6)
 
 
 def test_one_command_trains_scores_times_and_reports(tmp_path, monkeypatch):

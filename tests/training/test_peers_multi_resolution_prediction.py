@@ -42,9 +42,9 @@ def draw(height, width, seed=0, spread=2.0, light=2.0, size=3):
     return mean.astype(np.float32), [level.astype(np.float32) for level in logits]
 
 
-def run(mean, logits, decoder=DECODER, threads=1, divisor=None):
+def run(mean, logits, decoder=DECODER, threads=1, albedo=None):
     model = MultiResolutionPredictedModel(dataclasses.replace(SPEC, decoder=decoder))
-    light = Filterable(mean=mean, modulator=divisor)
+    light = Filterable(mean=mean, remodulation_albedo=albedo)
     return model.reconstruct(light, logits, Strips(threads), {})
 
 
@@ -92,9 +92,9 @@ def test_what_is_timed_is_what_was_trained():
     # more rows than a strip has
     mean, logits = draw(132, 44, light=0.5, size=5)
     decoder = dataclasses.replace(DECODER, kernel_sizes=(5,))
-    divisor = np.random.default_rng(1).uniform(0.1, 1, (132, 44, 3)).astype(np.float32)
-    trained = decode(*in_torch(mean, logits), decoder).numpy() * divisor
-    one, three = (run(mean, logits, decoder, threads, divisor) for threads in (1, 3))
+    albedo = np.random.default_rng(1).uniform(0.1, 1, (132, 44, 3)).astype(np.float32)
+    trained = decode(*in_torch(mean, logits), decoder).numpy() * albedo
+    one, three = (run(mean, logits, decoder, threads, albedo) for threads in (1, 3))
     np.testing.assert_allclose(one, trained, rtol=2e-5)
     np.testing.assert_array_equal(one, three)
 
@@ -156,7 +156,7 @@ def test_a_network_s_kernels_reach_the_user_s_picture(rng, tmp_path):
     measure.export(variant, network, tmp_path / "network.onnx")
     with measure.open_stream(variant, tmp_path / "network.onnx", temporal=False) as stream:
         image = stream.denoise(Frame(color=light * albedo, albedo=albedo))
-        assert {"network", "reconstruct", "modulate"} <= set(stream.last_timings)
+        assert {"network", "reconstruct", "remodulate"} <= set(stream.last_timings)
     inner = (slice(2, height - 2), slice(2, width - 2))
     there = np.roll(light, (2 - row, 2 - column), (0, 1))
     # what the other taps and the blend keep: exp(-24) and exp(-12)

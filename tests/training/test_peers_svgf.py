@@ -204,4 +204,6 @@ def test_the_first_frame_goes_through_passes_of_doubling_steps():
     variance = estimate_variance(moments, ones, edges, OPTIONS, STRIPS)
     for step in (1, 2, 4, 8, 16):
         mean, variance = wavelet_pass(mean, variance, edges, step, OPTIONS, STRIPS)
-    np.testing.assert_allclose(Svgf().denoise(frame), mean * buffers.divisor, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(
+        Svgf().denoise(frame), mean * buffers.demodulation_albedo, rtol=1e-4, atol=1e-6
+    )

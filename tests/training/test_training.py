@@ -103,7 +103,7 @@ def test_blocks_give_frames_of_more_samples(data, small, tmp_path):
     assert {example.spp for example in still} <= {1.0, 3.0, 4.0, 12.0, 13.0, 15.0, 16.0}
     assert all(32 <= example.spp <= 4096 for example in quiet)
     for example in quiet:
-        light = example.sample[..., :3] * example.divisor
+        light = example.sample[..., :3] * example.demodulation_albedo
         off = np.median(np.abs(light - example.reference))
         noise = np.median(np.abs(read_exr(last).color - example.reference))
         assert off < 0.75 * noise

@@ -23,7 +23,8 @@ from stillray.cli.output import status
 from stillray.io.exr.read_write import atomic_path
 from stillray.models.registry import list_models
 from stillray.profiling.clip import Clip, open_clip
-from stillray.profiling.machine import describe, measure_peaks, output_of, peak_resident
+from stillray.profiling.cost import stage_costs
+from stillray.profiling.machine import describe, measure_peak_rates, output_of, peak_resident
 from stillray.profiling.measure import (
     ORDER,
     TOTAL,
@@ -37,7 +38,6 @@ from stillray.profiling.measure import (
 from stillray.profiling.plot import draw_curves, draw_profile
 from stillray.profiling.results import Result
 from stillray.profiling.scaling import SIZES, Curve, in_words, scaling_curves
-from stillray.profiling.work import stage_work
 from stillray_training.peers import OIDN_QUALITIES, open_image_denoise
 
 SEQUENCE = "tests/data/room/frame_####.exr"
@@ -107,10 +107,10 @@ def methods_table(
 
 
 def stages_table(results: Sequence[Result]) -> list[str]:
-    """A row a stage: of each model the median, the floor, and the ratio of both."""
+    """A row a stage: of each model the median, the roofline, and the ratio of both."""
     stages = [result.run.stages() for result in results]
     names = [name for name in (*ORDER, TOTAL) if any(name in found for found in stages)]
-    headings = [f"{result.run.info.name} ms | floor | ratio" for result in results]
+    headings = [f"{result.run.info.name} ms | roofline | ratio" for result in results]
     lines = ["| stage | " + " | ".join(headings) + " |", "|---" * (3 * len(results) + 1) + "|"]
     for name in names:
         cells = []
@@ -118,9 +118,9 @@ def stages_table(results: Sequence[Result]) -> list[str]:
             if name not in found:
                 cells += ["", "", ""]
                 continue
-            median, floor = found[name].median, result.floor(name)
+            median, roofline = found[name].median, result.roofline(name)
             cells += [f"{median:.1f}"]
-            cells += [f"{floor:.1f}", f"{median / floor:.1f}"] if floor else ["", ""]
+            cells += [f"{roofline:.1f}", f"{median / roofline:.1f}"] if roofline else ["", ""]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return lines
 
@@ -165,7 +165,7 @@ def write_report(
         "",
         "## Stages",
         "",
-        "Median milliseconds of each stage. The floor is the dearer of its operations at the "
+        "Median milliseconds of each stage. The roofline is the slower of its operations at the "
         "matrix product's rate and its bytes at the copy's, each plane moved once: what an earlier "
         "stage of the same pass has brought to the cache counts there only. Stages that run in one "
         "pass share its time; `rest` is what no stage accounts for.",
@@ -206,18 +206,20 @@ def main(
         Setting(model=info.name, height=height, width=width, threads=threads)
         for info in list_models()
     ]
-    with status("rounds") as told:
-        peaks = measure_peaks(threads)
+    with status("rounds") as progress:
+        peaks = measure_peak_rates(threads)
         runs, peers = measure_in_turn(settings, clip, seconds)
-        told("memory")
+        progress("memory")
         ours = measure_memory(settings, sequence)
         memory = dict(zip((run.info.name for run in runs), ours, strict=True))
         memory |= peer_memory(list(peers), settings[0], sequence)
         curves = (
-            scaling_curves("wskp-3", threads=threads, sizes=SIZES, told=told) if scaling else []
+            scaling_curves("wskp-3", threads=threads, sizes=SIZES, progress=progress)
+            if scaling
+            else []
         )
     results = [
-        Result(run=run, work=stage_work(run.info, clip.frames[0]), peaks=peaks, memory=found)
+        Result(run=run, work=stage_costs(run.info, clip.frames[0]), peaks=peaks, memory=found)
         for run, found in zip(runs, ours, strict=True)
     ]
     pictures = []

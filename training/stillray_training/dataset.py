@@ -53,8 +53,8 @@ class Example:
     mean: np.ndarray  # (h, w, 4) irradiance and samples
     sample: np.ndarray  # (h, w, 4) irradiance of this frame and what it is worth
     exposure: float
-    divisor: np.ndarray  # (h, w, 3) what radiance was divided by
-    modulator: np.ndarray  # (h, w, 3) what the result is multiplied by
+    demodulation_albedo: np.ndarray  # (h, w, 3) what radiance was divided by
+    remodulation_albedo: np.ndarray  # (h, w, 3) what the result is multiplied by
     albedo: np.ndarray  # (h, w, 3)
     normal: np.ndarray  # (h, w, 3)
     depth: np.ndarray  # (h, w)
@@ -182,7 +182,7 @@ def _with_blurred_past(example: Example, rng: np.random.Generator) -> Example:
     """As if frames as quiet had come before: each look at the past has blurred it a little."""
     frames = float(rng.integers(1, 16))
     mean, previous = example.mean.copy(), np.empty_like(example.mean)
-    previous[..., :3] = mean[..., :3] * example.modulator
+    previous[..., :3] = mean[..., :3] * example.remodulation_albedo
     previous[..., 3] = 1
     for image in (mean, previous):
         for _ in range(int(rng.integers(1, 4))):
@@ -205,8 +205,8 @@ def _example(run: list[Frame], reference: np.ndarray, spec: ModelSpec, strips: S
         prepared = prepare(frame, spec, history, strips, Wants(sample=True))
         history = prepared.history
     assert history is not None
-    assert prepared.divisor is not None
-    assert prepared.modulator is not None
+    assert prepared.demodulation_albedo is not None
+    assert prepared.remodulation_albedo is not None
     assert prepared.albedo is not None
     assert prepared.normal is not None
     assert prepared.depth is not None
@@ -214,8 +214,8 @@ def _example(run: list[Frame], reference: np.ndarray, spec: ModelSpec, strips: S
         mean=history.mean,
         sample=_sample(prepared),
         exposure=history.exposure,
-        divisor=prepared.divisor.astype(np.float16),
-        modulator=prepared.modulator.astype(np.float16),
+        demodulation_albedo=prepared.demodulation_albedo.astype(np.float16),
+        remodulation_albedo=prepared.remodulation_albedo.astype(np.float16),
         albedo=prepared.albedo.astype(np.float16),
         normal=prepared.normal.astype(np.float16),
         depth=prepared.depth,
@@ -312,7 +312,7 @@ class PatchSampler:
         sample = turn(example.sample[window]).copy()
         sample[..., :3] = sample[..., order] * gain
         reference = turn(example.reference[window])[..., order] * gain
-        modulator = turn(example.modulator[window])[..., order].astype(np.float32)
+        remodulation = turn(example.remodulation_albedo[window])[..., order].astype(np.float32)
         previous = turn(example.previous[window]).copy()
         previous[..., :3] = previous[..., order] * gain
         albedo: np.ndarray | None = turn(example.albedo[window])[..., order].astype(np.float32)
@@ -321,10 +321,10 @@ class PatchSampler:
         depth: np.ndarray | None = turn(example.depth[window])
         if rng.random() < recipe.drop_feature:
             # no albedo: what is filtered is radiance
-            divisor = turn(example.divisor[window])[..., order].astype(np.float32)
-            mean[..., :3] *= divisor
-            sample[..., :3] *= divisor
-            modulator, albedo = np.ones_like(divisor), None
+            demodulation = turn(example.demodulation_albedo[window])[..., order].astype(np.float32)
+            mean[..., :3] *= demodulation
+            sample[..., :3] *= demodulation
+            remodulation, albedo = np.ones_like(demodulation), None
         if rng.random() < recipe.drop_feature:
             normal = None
         if rng.random() < recipe.drop_feature:
@@ -349,14 +349,16 @@ class PatchSampler:
             frame_samples=spp,
             out=features,
         )
-        encode.previous_planes(previous, modulator, exposure, spec.network.features, out=features)
+        encode.previous_planes(
+            previous, remodulation, exposure, spec.network.features, out=features
+        )
         return {
             "features": features,
             "irradiance": _chw(mean[..., :3]),
             "samples": mean[None, ..., 3],
             "new": _chw(sample[..., :3]),
             "worth": sample[None, ..., 3],
-            "divisor": _chw(modulator),
+            "divisor": _chw(remodulation),
             "previous": _chw(previous[..., :3]),
             "valid": previous[None, ..., 3],
             "reference": _chw(reference),

@@ -20,7 +20,7 @@ from stillray_training.decoders.bilateral_grids import bilateral_grids
 from stillray_training.decoders.boxes import BoxMean
 from stillray_training.decoders.fused_kernels import fused_kernels
 from stillray_training.decoders.multires import multi_resolution_kernels
-from stillray_training.decoders.pyramid import kernel_pyramid, renewed, resolve, unfold
+from stillray_training.decoders.pyramid import blended_with_sample, kernel_pyramid, resolve, unfold
 from stillray_training.networks.guide import GuideNet
 from stillray_training.networks.importance import ImportanceNet
 from stillray_training.networks.pyramid import kernel_pyramid_net, multi_resolution_net
@@ -74,7 +74,7 @@ def _pyramid(
 ) -> Tensor:
     assert isinstance(spec.decoder, PyramidKernels)
     logits = unfold(logits)
-    light, samples = renewed(
+    light, samples = blended_with_sample(
         batch["irradiance"], batch["samples"], batch["new"], batch["worth"], logits[0], spec.decoder
     )
     image = kernel_pyramid(light, samples, logits, spec.decoder, box)

@@ -175,7 +175,7 @@ def _kernels_run(
     def work(rows: slice) -> None:
         near = slice(max(rows.start - half, 0), min(rows.stop + half, height))
         inner = slice(rows.start - near.start, rows.stop - near.start)
-        kernels.filter_rows(mean[near], own[:, near], inner, options, scratch=strips.scratch)
+        kernels.filter_rows(mean[near], own[:, near], inner, options, workspace=strips.workspace)
 
     return lambda: strips.run(work, height, width)
 

@@ -18,7 +18,7 @@ from stillray.compare import metrics
 from stillray.compare.metrics import METRICS, Metric
 from stillray.io.exr.read_write import read_exr
 from stillray.model_spec.loader import FusedKernels
-from stillray.models.registry import ModelInfo, find_model, tuned
+from stillray.models.registry import ModelInfo, find_model, with_overrides
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.evaluate.cases import find_scenes, last_referenced
 from stillray_training.evaluate.methods import run_stream
@@ -88,10 +88,10 @@ def _tuned(info: ModelInfo) -> list[tuple[str, ModelInfo]]:
         most = len(info.spec.decoder.kernel_sizes)
         for count in dict.fromkeys(round(share * most) for share in _KERNEL_SHARES):
             if 1 <= count < most:
-                found.append((f"{count} of {most} kernels", tuned(info, kernels=count)))
+                found.append((f"{count} of {most} kernels", with_overrides(info, kernels=count)))
     for factor in _HISTORY_FACTORS:
         samples = max(info.spec.temporal.max_samples * factor, 1.0)
-        found.append((f"history of {samples:g}", tuned(info, max_samples=samples)))
+        found.append((f"history of {samples:g}", with_overrides(info, max_samples=samples)))
     return found
 
 

@@ -175,7 +175,7 @@ def train(
         recipe = spec.training
         resumed = recipe.history_from and step > recipe.history_from
         if resumed and (step - recipe.history_from) % recipe.history_every:
-            _recall(examples, sequences, out / PREVIOUS, progress)
+            _refresh_previous_output(examples, sequences, out / PREVIOUS, progress)
         sampler = PatchSampler(examples, spec)
         task = progress.add_task(spec.name, total=spec.training.steps, completed=step)
         losses: list[float] = []
@@ -183,8 +183,8 @@ def train(
         while step < spec.training.steps:
             since = step - recipe.history_from
             if recipe.history_from and since >= 0 and since % recipe.history_every == 0:
-                _export_for_recall(average, spec, out / PREVIOUS)
-                _recall(examples, sequences, out / PREVIOUS, progress)
+                _export_for_previous_output(average, spec, out / PREVIOUS)
+                _refresh_previous_output(examples, sequences, out / PREVIOUS, progress)
             for group in optimiser.param_groups:
                 group["lr"] = learning_rate(step, spec)
             loss = reconstruct_loss(network, sampler.batch(step), spec, family)
@@ -235,8 +235,8 @@ def _all_sequences(data: list[Path]) -> list[Path]:
     return sequences
 
 
-def _export_for_recall(network: nn.Module, spec: ModelSpec, path: Path) -> None:
-    """Write the network as it is now, so that a resumed run recalls what this one does."""
+def _export_for_previous_output(network: nn.Module, spec: ModelSpec, path: Path) -> None:
+    """Write the network as it is now, so that a resumed run sees the same previous outputs."""
     # the export knows of training, not the other way round, but for this
     from stillray_export.fuse import fuse
     from stillray_export.to_onnx import network_graph
@@ -245,7 +245,7 @@ def _export_for_recall(network: nn.Module, spec: ModelSpec, path: Path) -> None:
         temporary.write_bytes(network_graph(fuse(network), spec, {}).SerializeToString())
 
 
-def _recall(
+def _refresh_previous_output(
     examples: list[Example], sequences: list[Path], model: Path, progress: Progress
 ) -> None:
     """Give every example the previous output of a model: one step of a recurrence, unrolled.
@@ -253,7 +253,7 @@ def _recall(
     Gradients stop at the previous output, which grows old until it is renewed; in return the
     recurrence costs nothing a step, and is as long as the sequence.
     """
-    task = progress.add_task("recall", total=len(sequences))
+    task = progress.add_task("previous output", total=len(sequences))
     places = {
         (example.sequence, example.frames): index
         for index, example in enumerate(examples)

@@ -15,7 +15,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 
 # 512 KiB a float32 plane. Smaller strips stay in a nearer cache, but each has a price, more than a
 # millisecond where it runs through two hundred calls; and a filter reads rows beyond it.
@@ -48,12 +48,12 @@ class Strips:
         self._local = threading.local()
 
     @property
-    def scratch(self) -> Scratch:
+    def workspace(self) -> Workspace:
         """Arrays of the calling thread, for temporaries within a strip."""
-        if not hasattr(self._local, "scratch"):
-            self._local.scratch = Scratch()
-        scratch: Scratch = self._local.scratch
-        return scratch
+        if not hasattr(self._local, "workspace"):
+            self._local.workspace = Workspace()
+        workspace: Workspace = self._local.workspace
+        return workspace
 
     def run(
         self,

@@ -188,7 +188,7 @@ def denoise_shot(
     """
     named = [sources] if isinstance(sources, str) else list(sources)
     planned = plan_run(named, str(output), model, options or ShotOptions())
-    return planned.run(_told(progress), cancel)
+    return planned.run(_as_progress(progress), cancel)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -362,7 +362,7 @@ def _memory(model: ModelInfo, options: ShotOptions, frames: int) -> int:
     return frames if memory is None else memory
 
 
-def _told(progress: Progress | Callable[[FrameReport], None] | None) -> Progress:
+def _as_progress(progress: Progress | Callable[[FrameReport], None] | None) -> Progress:
     if isinstance(progress, Progress):
         return progress
     return _Calls(progress or (lambda done: None))

@@ -144,9 +144,9 @@ def _profile(
     from stillray.profiling.report import as_dict, remarks, table
     from stillray.profiling.results import profile_settings
 
-    with status("measuring") as told:
+    with status("measuring") as progress:
         results = profile_settings(
-            settings, source=source, seconds=seconds, memory=memory, told=told
+            settings, source=source, seconds=seconds, memory=memory, progress=progress
         )
     machine, frames = describe(), source or MADE_UP
     if plot is not None:
@@ -181,12 +181,12 @@ def _scaling(
 
     if models and len(models) > 1:
         raise InputError(f"--scaling takes one model, got {', '.join(models)}")
-    with status("measuring") as told:
+    with status("measuring") as progress:
         curves = scaling_curves(
             models[0] if models else "fast",
             threads=max(threads or [available_threads()]),
             sizes=sorted(_parse_size(text) for text in sizes) if sizes else SIZES,
-            told=told,
+            progress=progress,
         )
     if plot is not None:
         from stillray.profiling.plot import draw_curves

@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.strips import Strips
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.model_spec.loader import BilateralGrids, ModelSpec
 from stillray.stages.state import Filterable
@@ -72,12 +72,12 @@ class BilateralGridModel(TemporalKernels):
         (maps,) = outputs
         with timed(timings, "reconstruct"):
             image = filter_grids(light.mean, maps, self._options, strips)
-        if (by := light.modulator) is not None:
+        if (by := light.remodulation_albedo) is not None:
 
             def modulate(rows: slice) -> None:
                 image[rows] *= by[rows]
 
-            with timed(timings, "modulate"):
+            with timed(timings, "remodulate"):
                 strips.run(modulate, *image.shape[:2])
         return image
 
@@ -129,15 +129,15 @@ def filter_grids(
     # strips of whole cells of the coarsest grid
     units = -(-height // unit), unit * width
     grids = [
-        _Grid(maps[scale], options, scale, strips.of(*units), strips.scratch)
+        _Grid(maps[scale], options, scale, strips.of(*units), strips.workspace)
         for scale in range(options.grids)
     ]
 
     def construct(rows: slice) -> None:
-        own, scratch = slice(rows.start * unit, min(rows.stop * unit, height)), strips.scratch
-        light = _light(mean[own], options, scratch)
+        own, workspace = slice(rows.start * unit, min(rows.stop * unit, height)), strips.workspace
+        light = _light(mean[own], options, workspace)
         for grid in grids:
-            grid.construct(rows, light, maps[grid.scale, own], scratch)
+            grid.construct(rows, light, maps[grid.scale, own], workspace)
 
     strips.run(construct, *units)
     for grid in grids:  # in order: the same sums for any number of threads
@@ -148,7 +148,7 @@ def filter_grids(
 
     def read(rows: slice) -> None:
         own = slice(rows.start * unit, min(rows.stop * unit, height))
-        light = _blended(grids, rows, maps[:, own], strips.scratch)
+        light = _blended(grids, rows, maps[:, own], strips.workspace)
         np.copyto(image[own], light[..., :3])
 
     strips.run(read, *units)
@@ -165,49 +165,49 @@ class _Grid:
 
     Parameters
     ----------
-    guide : (h, w) float32
+    grid_guide : (h, w) float32
     options, scale
         Of the grid.
     bounds
         The strips, in units of the coarsest spacing.
-    scratch
+    workspace
         Where the cells lie.
     """
 
     def __init__(
         self,
-        guide: np.ndarray,
+        grid_guide: np.ndarray,
         options: BilateralGrids,
         scale: int,
         bounds: list[slice],
-        scratch: Scratch,
+        workspace: Workspace,
     ) -> None:
         self.scale, self.spacing = scale, options.spacing << scale
-        height, width = guide.shape
+        height, width = grid_guide.shape
         _, columns, depth = grid_cells(height, width, options, scale)
         self._rate = np.float32(GUIDE_RANGE / (options.depth_spacing * 2**scale))
         self._last = np.float32(depth - 2)  # the deepest cell that is the first of two
-        # only the depths between the least and the greatest guide are kept
-        self._first, deepest = (int(self._floor(edge)) for edge in cv2.minMaxLoc(guide)[:2])
+        # only the depths between the least and the greatest grid_guide are kept
+        self._first, deepest = (int(self._floor(edge)) for edge in cv2.minMaxLoc(grid_guide)[:2])
         self._cells = (columns, deepest - self._first + 2, 4)
         # neighbours share a row of cells, of which each has its own
         per_unit = _unit(options) // self.spacing
         ends = [0]
         for rows in bounds:
             ends.append(ends[-1] + (rows.stop - rows.start) * per_unit + 1)
-        whole = scratch.array(f"grid {scale}", (ends[-1], *self._cells))
+        whole = workspace.array(f"grid {scale}", (ends[-1], *self._cells))
         #: Cells by the start of the strip, ``(rows, columns, depth, 4)``.
         self.parts = {
             rows.start: whole[start:stop]
             for rows, (start, stop) in zip(bounds, pairwise(ends), strict=True)
         }
 
-    def _floor(self, guide: float) -> np.float32:
-        place = np.float32(min(max(guide, 0), 1)) * self._rate
+    def _floor(self, grid_guide: float) -> np.float32:
+        place = np.float32(min(max(grid_guide, 0), 1)) * self._rate
         return np.minimum(np.floor(place), self._last)
 
     def construct(
-        self, rows: slice, light: np.ndarray, guide: np.ndarray, scratch: Scratch
+        self, rows: slice, light: np.ndarray, grid_guide: np.ndarray, workspace: Workspace
     ) -> None:
         """Splat a strip: the sums of eq. 10, before their division.
 
@@ -217,19 +217,19 @@ class _Grid:
             The strip.
         light : (h, w, 4) float32
             Weighted irradiance, and the weights.
-        guide : (h, w) float32
+        grid_guide : (h, w) float32
         """
         part = self.parts[rows.start]
         part.fill(0)
-        at, far = self._places(guide, scratch)
-        near, deep = (scratch.array(name, far.shape) for name in ("near", "deep"))
+        at, far = self._places(grid_guide, workspace)
+        near, deep = (workspace.array(name, far.shape) for name in ("near", "deep"))
         self._by_phase(_as_one(light), _as_one(near))
         np.multiply(near, far, out=deep)
         near *= np.subtract(1, far, out=far)
-        slabs = scratch.array("slabs", (self.spacing, *self._cells))
+        slabs = workspace.array("slabs", (self.spacing, *self._cells))
         cells = _as_one(slabs).reshape(-1)
         flat, flat_slabs = (rows.reshape(*rows.shape[:2], -1) for rows in (part, slabs))
-        found = scratch.array("found", (self.spacing * at.shape[2], 4))
+        found = workspace.array("found", (self.spacing * at.shape[2], 4))
         found_as_one = _as_one(found)
         for block in range(at.shape[1] // self.spacing):
             own = slice(block * self.spacing, (block + 1) * self.spacing)
@@ -247,14 +247,14 @@ class _Grid:
                 if row:
                     cv2.scaleAdd(slab, row / self.spacing, under, dst=under)
 
-    def read(self, rows: slice, guide: np.ndarray, scratch: Scratch) -> np.ndarray:
+    def read(self, rows: slice, grid_guide: np.ndarray, workspace: Workspace) -> np.ndarray:
         """Numerators and, last, the denominator of eq. 13; the strip's cells are overwritten.
 
         Parameters
         ----------
         rows
             The strip.
-        guide : (h, w) float32
+        grid_guide : (h, w) float32
 
         Returns
         -------
@@ -263,17 +263,17 @@ class _Grid:
         part = self.parts[rows.start]
         # from sums to means, and 1 where a cell is not empty: empty ones have sums of exactly 0
         columns = part.reshape(-1, *part.shape[2:])
-        filled = cv2.extractChannel(columns, 3, dst=scratch.array("filled", columns.shape[:2]))
+        filled = cv2.extractChannel(columns, 3, dst=workspace.array("filled", columns.shape[:2]))
         np.reciprocal(np.maximum(filled, _EMPTY, out=filled), out=filled)
-        columns *= _four_times(filled, scratch)
-        at, far = self._places(guide, scratch)
-        near, deep = (scratch.array(name, far.shape) for name in ("near", "deep"))
+        columns *= _four_times(filled, workspace)
+        at, far = self._places(grid_guide, workspace)
+        near, deep = (workspace.array(name, far.shape) for name in ("near", "deep"))
         near.fill(0)
         deep.fill(0)
-        slabs = scratch.array("slabs", (self.spacing, *self._cells))
+        slabs = workspace.array("slabs", (self.spacing, *self._cells))
         cells = _as_one(slabs).reshape(-1)
         flat, flat_slabs = (rows.reshape(*rows.shape[:2], -1) for rows in (part, slabs))
-        found = scratch.array("found", (self.spacing * at.shape[2], 4))
+        found = workspace.array("found", (self.spacing * at.shape[2], 4))
         found_as_one = _as_one(found)
         for block in range(at.shape[1] // self.spacing):
             own = slice(block * self.spacing, (block + 1) * self.spacing)
@@ -290,13 +290,15 @@ class _Grid:
         deep *= far
         near *= np.subtract(1, far, out=far)
         near += deep
-        sums = scratch.array("sums", (*guide.shape, 4))
+        sums = workspace.array("sums", (*grid_guide.shape, 4))
         for phase, light in enumerate(_as_one(near)):
             target = _as_one(sums)[:, phase :: self.spacing]
             target[...] = light[: target.shape[0], : target.shape[1]]
         return sums
 
-    def _places(self, guide: np.ndarray, scratch: Scratch) -> tuple[np.ndarray, np.ndarray]:
+    def _places(
+        self, grid_guide: np.ndarray, workspace: Workspace
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Where the pixels of a strip lie in the slabs of their rows (eq. 12).
 
         Returns
@@ -308,9 +310,9 @@ class _Grid:
             How far the pixel is on its way to the next cell in depth, [0, 1], four times.
         """
         columns, depth, _ = self._cells
-        shape = (self.spacing, -(-len(guide) // self.spacing) * self.spacing, columns - 1)
-        place, floor = scratch.array("place", shape), scratch.array("floor", shape)
-        self._by_phase(guide, place)
+        shape = (self.spacing, -(-len(grid_guide) // self.spacing) * self.spacing, columns - 1)
+        place, floor = workspace.array("place", shape), workspace.array("floor", shape)
+        self._by_phase(grid_guide, place)
         np.clip(place, 0, 1, out=place)
         place *= self._rate
         np.floor(place, out=floor)
@@ -318,11 +320,11 @@ class _Grid:
         place -= floor
         # pixels beyond the frame count nothing, but need a place
         np.maximum(floor, np.float32(self._first), out=floor)
-        at = scratch.array("at", shape, np.intp)
+        at = workspace.array("at", shape, np.intp)
         np.copyto(at, floor, casting="unsafe")
         row = np.arange(shape[1])[:, None] % self.spacing
         at += (row * columns + np.arange(columns - 1)) * depth - self._first
-        return at, _four_times(place, scratch)
+        return at, _four_times(place, workspace)
 
     def _sides(self) -> Iterator[tuple[int, float, int]]:
         """Of every place in a block: weights and offsets of the cells to its left and right."""
@@ -339,31 +341,33 @@ class _Grid:
             target[: part.shape[0], : part.shape[1]] = part
 
 
-def _blended(grids: Sequence[_Grid], rows: slice, maps: np.ndarray, scratch: Scratch) -> np.ndarray:
+def _blended(
+    grids: Sequence[_Grid], rows: slice, maps: np.ndarray, workspace: Workspace
+) -> np.ndarray:
     """The grids' strips, divided (eq. 13) and weighed (eq. 15): ``(h, w, 4)``, the last is 1."""
     shape = maps.shape[1:]
-    total = scratch.array("total", (*shape, 4))
+    total = workspace.array("total", (*shape, 4))
     total.fill(0)
-    factor, rest = scratch.array("factor", shape), scratch.array("rest", shape)
+    factor, rest = workspace.array("factor", shape), workspace.array("rest", shape)
     rest.fill(1)
     for grid in grids:
-        sums = grid.read(rows, maps[grid.scale], scratch)
+        sums = grid.read(rows, maps[grid.scale], workspace)
         if grid is grids[-1]:
             np.copyto(factor, rest)
         else:
             share = maps[len(grids) + grid.scale]
             np.multiply(rest, np.clip(share, 0, 1, out=factor), out=factor)
             rest -= factor
-        found = cv2.extractChannel(sums, 3, dst=scratch.array("weight", shape))
+        found = cv2.extractChannel(sums, 3, dst=workspace.array("weight", shape))
         factor /= np.maximum(found, _EMPTY, out=found)
-        cv2.accumulateProduct(sums, _four_times(factor, scratch), total)
+        cv2.accumulateProduct(sums, _four_times(factor, workspace), total)
     return total
 
 
-def _light(mean: np.ndarray, options: BilateralGrids, scratch: Scratch) -> np.ndarray:
+def _light(mean: np.ndarray, options: BilateralGrids, workspace: Workspace) -> np.ndarray:
     """Irradiance times its weight, and the weight: ``(h, w, 4)``."""
-    weights = scratch.array("weights", mean.shape)
-    light = scratch.array("light", mean.shape)
+    weights = workspace.array("weights", mean.shape)
+    light = workspace.array("light", mean.shape)
     if not options.weigh_samples:
         np.copyto(light, mean)
         light[..., 3] = 1
@@ -373,9 +377,9 @@ def _light(mean: np.ndarray, options: BilateralGrids, scratch: Scratch) -> np.nd
     return np.multiply(mean, weights, out=light)
 
 
-def _four_times(plane: np.ndarray, scratch: Scratch) -> np.ndarray:
+def _four_times(plane: np.ndarray, workspace: Workspace) -> np.ndarray:
     """The same value for each channel: ``(..., 4)``."""
-    out = scratch.array("four", (*plane.shape, 4))
+    out = workspace.array("four", (*plane.shape, 4))
     flat = plane.reshape(-1, plane.shape[-1])
     cv2.merge([flat] * 4, dst=out.reshape(*flat.shape, 4))
     return out

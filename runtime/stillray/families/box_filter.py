@@ -12,18 +12,18 @@ import cv2
 import numpy as np
 
 from stillray.arrays.strips import interleave, planes_of, with_halo
-from stillray.arrays.workspace import Scratch
-from stillray.families.depth_to_space import Blocks
+from stillray.arrays.workspace import Workspace
+from stillray.families.depth_to_space import DepthToSpace
 from stillray.model_spec.loader import FusedKernels
 
 
 def filter_rows(
     mean: np.ndarray,
-    logits: np.ndarray | Blocks,
+    logits: np.ndarray | DepthToSpace,
     inner: slice,
     options: FusedKernels,
     out: np.ndarray | None = None,
-    scratch: Scratch | None = None,
+    workspace: Workspace | None = None,
 ) -> np.ndarray:
     """Filter an image, or a strip of one with its neighbouring rows.
 
@@ -39,7 +39,7 @@ def filter_rows(
         The rows of the result; the others only lend their pixels.
     out : (rows, w, 3) float32, optional
         Written and returned.
-    scratch
+    workspace
         Where temporaries lie, if given.
 
     Returns
@@ -48,40 +48,40 @@ def filter_rows(
         ``sum_i alpha_i R_i``, eq. 5: a convex combination of irradiance in each window. Windows
         end at the border of the image, as if zero importance lay outside.
     """
-    scratch = scratch or Scratch()
+    workspace = workspace or Workspace()
     if out is None:
         out = np.empty((inner.stop - inner.start, mean.shape[1], 3), np.float32)
-    interleave(filter_planes(mean, logits, inner, options, scratch), out=out)
+    interleave(filter_planes(mean, logits, inner, options, workspace), out=out)
     if np.isnan(out.max()):  # a NaN logit says nothing: 0
         maps = logits[slice(0, len(logits)), slice(0, len(mean))]
-        return filter_rows(mean, np.nan_to_num(maps, nan=0.0), inner, options, out, scratch)
+        return filter_rows(mean, np.nan_to_num(maps, nan=0.0), inner, options, out, workspace)
     return out
 
 
 def filter_planes(
     mean: np.ndarray,
-    logits: np.ndarray | Blocks,
+    logits: np.ndarray | DepthToSpace,
     inner: slice,
     options: FusedKernels,
-    scratch: Scratch,
+    workspace: Workspace,
 ) -> np.ndarray:
-    """`filter_rows` as planes ``(3, rows, w)``, in the scratch; without a look for NaN logits.
+    """`filter_rows` as planes ``(3, rows, w)``, in the workspace; without a look for NaN logits.
 
     The last of an odd number of logits is not looked at.
     """
     # fewer kernels than maps: the first ones
     count, (height, width) = len(logits) // 2, mean.shape[:2]
     shape = inner.stop - inner.start, width
-    *planes, samples = planes_of(mean, out=scratch.array("mean", (4, height, width)))
-    total, alpha_sum = scratch.array("total", (3, *shape)), scratch.array("alpha_sum", shape)
-    share = scratch.array("share", shape)
+    *planes, samples = planes_of(mean, out=workspace.array("mean", (4, height, width)))
+    total, alpha_sum = workspace.array("total", (3, *shape)), workspace.array("alpha_sum", shape)
+    share = workspace.array("share", shape)
     total.fill(0)
     alpha_sum.fill(0)
     for index, size in enumerate(options.kernel_sizes):
         rows, own = with_halo(inner, size // 2, height)
         strip = rows.stop - rows.start, width
         importance, product, box = (
-            scratch.array(name, strip) for name in ("importance", "product", "box")
+            workspace.array(name, strip) for name in ("importance", "product", "box")
         )
         bounded_exp(logits[index, rows], options.logit_bound, importance)
         if options.weigh_samples:

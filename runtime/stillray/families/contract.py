@@ -15,7 +15,7 @@ import numpy as np
 
 from stillray.arrays.strips import Strips
 from stillray.arrays.tiles import Tile
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.frame import Frame
 from stillray.stages.plan import Plan
 
@@ -126,15 +126,15 @@ class Context:
         Arrays that are kept from frame to frame.
     timings
         Stage name to milliseconds, filled in.
-    spare
+    back_buffer
         A state that nobody needs any more: its arrays may be overwritten.
     """
 
     strips: Strips
     engine: Engine | None = None
-    workspace: Scratch = field(default_factory=Scratch)
+    workspace: Workspace = field(default_factory=Workspace)
     timings: dict[str, float] = field(default_factory=dict)
-    spare: State | None = None
+    back_buffer: State | None = None
 
 
 class LayerFilter(Protocol):

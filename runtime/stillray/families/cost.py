@@ -22,7 +22,7 @@ def fused_kernels_cost(kernels: int) -> tuple[float, float]:
 
 def kernel_pyramid_cost(levels: int, options: PyramidKernels) -> tuple[float, float]:
     """The same of a kernel pyramid."""
-    operations, planes = 0.0, 3.0 + 3.0 + 4.0  # divisor, image, the previous output
+    operations, planes = 0.0, 3.0 + 3.0 + 4.0  # albedo, image, the previous output
     for level in range(levels):
         share = 0.25**level
         logits = level_logits(level, levels, options)

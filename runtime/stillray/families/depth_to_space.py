@@ -9,7 +9,7 @@ import numpy as np
 from stillray.arrays.strips import Strips
 
 
-class Blocks:
+class DepthToSpace:
     """Maps of pixels, of which the network gave four smaller ones each, read as if it had not.
 
     They are interleaved a strip at a time, where they are used: done by the network, every map
@@ -40,7 +40,7 @@ class Blocks:
         """The number of planes."""
         return self.shape[0]
 
-    def near(self, rows: slice, width: int) -> Blocks:
+    def near(self, rows: slice, width: int) -> DepthToSpace:
         """A window of the maps: those rows, and columns up to ``width``."""
         window = copy.copy(self)
         window._top += rows.start
@@ -62,7 +62,7 @@ class Blocks:
         top, bottom = self._top + rows.start, self._top + rows.stop
         blocks = self._blocks[part, ..., top // 2 : -(-bottom // 2), :]
         count, _, _, height, width = blocks.shape
-        whole = self._strips.scratch.array(name, (count, height, 2, width, 2))
+        whole = self._strips.workspace.array(name, (count, height, 2, width, 2))
         for line, column in np.ndindex(2, 2):
             whole[:, :, line, :, column] = blocks[:, line, column]
         lines: np.ndarray = whole.reshape(count, 2 * height, 2 * width)

@@ -9,7 +9,7 @@ import numpy as np
 from stillray.arrays.strips import Strips, with_halo
 from stillray.families.box_filter import filter_rows
 from stillray.families.cost import fused_kernels_cost
-from stillray.families.depth_to_space import Blocks
+from stillray.families.depth_to_space import DepthToSpace
 from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.model_spec.loader import FusedKernels, ImportanceNetwork, ModelSpec
 from stillray.stages.state import Filterable
@@ -43,8 +43,8 @@ class FusedKernelsModel(TemporalKernels):
     ) -> np.ndarray:
         """Filter and remodulate, see `TemporalKernels`."""
         (logits,) = outputs
-        blocks = Blocks(logits, strips) if self._block > 1 else None
-        mean, by = light.mean, light.modulator
+        blocks = DepthToSpace(logits, strips) if self._block > 1 else None
+        mean, by = light.mean, light.remodulation_albedo
         height, width = mean.shape[:2]
         image = np.empty((height, width, 3), np.float32)
         with timed_pass(timings) as part:
@@ -53,9 +53,11 @@ class FusedKernelsModel(TemporalKernels):
                 near, own = with_halo(rows, self.looks.reach, height)
                 with part("reconstruct"):
                     given = logits[:, near] if blocks is None else blocks.near(near, width)
-                    filter_rows(mean[near], given, own, self._options, image[rows], strips.scratch)
+                    filter_rows(
+                        mean[near], given, own, self._options, image[rows], strips.workspace
+                    )
                 if by is not None:
-                    with part("modulate"):
+                    with part("remodulate"):
                         image[rows] *= by[rows]
 
             strips.run(work, height, width)

@@ -18,10 +18,10 @@ import numpy as np
 
 from stillray.arrays.resample import halve
 from stillray.arrays.strips import Strips, interleave, planes_of, with_halo
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.families.box_filter import bounded_exp, box_means
 from stillray.families.cost import kernel_pyramid_cost
-from stillray.families.depth_to_space import Blocks
+from stillray.families.depth_to_space import DepthToSpace
 from stillray.families.pyramid_logits import NEIGHBOURS, LevelLayout, level_layout
 from stillray.families.pyramid_upsample import Doubled
 from stillray.families.temporal_kernels import Looks, TemporalKernels
@@ -96,7 +96,7 @@ def filter_pyramid(
     logits
         One ``(planes, H, W)`` map a level, finest first, of the frame's size rounded up to
         `alignment`; any values. The frame's last row and column are repeated to that size. The
-        finest may come as `Blocks`, told by having the size of the next.
+        finest may come as `DepthToSpace`, known by having the size of the next.
     options
         Kernel sizes and the bound of the logits.
     strips
@@ -122,16 +122,16 @@ def _filtered(
 ) -> np.ndarray:
     height, width = light.mean.shape[:2]
     levels = len(logits)
-    maps: list[np.ndarray | Blocks] = list(logits)
+    maps: list[np.ndarray | DepthToSpace] = list(logits)
     if levels > 1 and logits[0].shape[1:] == logits[1].shape[1:]:
-        maps[0] = Blocks(logits[0], strips)
+        maps[0] = DepthToSpace(logits[0], strips)
     mean, sample = _whole_blocks(light, maps[0].shape[1:], strips)
     finest = level_layout(0, levels, options)
-    pyramid = [_renewed(mean, sample, maps[0], finest.renew, options, strips)]
+    pyramid = [_blended_with_sample(mean, sample, maps[0], finest.sample_blend, options, strips)]
     for level in range(levels - 1):
         pool = level_layout(level, levels, options).pool
-        # levels lie in the scratch of this thread from frame to frame
-        coarse = strips.scratch.array(
+        # levels lie in the workspace of this thread from frame to frame
+        coarse = strips.workspace.array(
             f"pyramid {level + 1}", (4, *(size // 2 for size in pyramid[-1].shape[1:]))
         )
         _pool(pyramid[-1], maps[level], pool, options, strips, coarse)
@@ -140,12 +140,12 @@ def _filtered(
     for level in reversed(range(1, levels)):
         layout = level_layout(level, levels, options)
         padded = (3, *(size + 2 for size in pyramid[level].shape[1:]))
-        blended = strips.scratch.array(f"blended {level}", padded)
+        blended = strips.workspace.array(f"blended {level}", padded)
         _Level(pyramid[level], coarser, maps[level], layout, options).blended(strips, blended)
         coarser = Doubled(blended, logits[level][layout.double], options)
     image = np.empty((height, width, 3), np.float32)
     top = _Level(pyramid[0], coarser, maps[0], finest, options)
-    strips.run(lambda rows: top.resolve(rows, light, image[rows], strips.scratch), height, width)
+    strips.run(lambda rows: top.resolve(rows, light, image[rows], strips.workspace), height, width)
     return image
 
 
@@ -157,9 +157,9 @@ def _whole_blocks(
     bottom, right = size[0] - mean.shape[0], size[1] - mean.shape[1]
     if not bottom and not right:
         return mean, sample
-    mean = _extended(mean, bottom, right, strips.scratch.array("extended", (*size, 4)))
+    mean = _extended(mean, bottom, right, strips.workspace.array("extended", (*size, 4)))
     if sample is not None:
-        planes = strips.scratch.array("extended sample", (4, *size))
+        planes = strips.workspace.array("extended sample", (4, *size))
         for plane, target in zip(sample, planes, strict=True):
             _extended(plane, bottom, right, target)
         sample = planes
@@ -171,11 +171,11 @@ def _extended(image: np.ndarray, bottom: int, right: int, out: np.ndarray) -> np
     return cv2.copyMakeBorder(image, 0, bottom, 0, right, cv2.BORDER_REPLICATE, dst=out)
 
 
-def _renewed(
+def _blended_with_sample(
     mean: np.ndarray,
     sample: np.ndarray | None,
-    logits: np.ndarray | Blocks,
-    renew: slice,
+    logits: np.ndarray | DepthToSpace,
+    sample_blend: slice,
     options: PyramidKernels,
     strips: Strips,
 ) -> np.ndarray:
@@ -184,28 +184,28 @@ def _renewed(
     A past that no longer holds (a mirror's picture moves otherwise than the mirror, a shadow
     passes over a surface that stays) is known to the network, not to the geometry.
     """
-    planes = strips.scratch.array("pyramid 0", (4, *mean.shape[:2]))
+    planes = strips.workspace.array("pyramid 0", (4, *mean.shape[:2]))
 
     def work(rows: slice) -> None:
-        scratch = strips.scratch
+        workspace = strips.workspace
         shape = (rows.stop - rows.start, mean.shape[1])
-        past = planes_of(mean[rows], out=scratch.array("mean", (4, *shape)))
+        past = planes_of(mean[rows], out=workspace.array("mean", (4, *shape)))
         if sample is None:
             planes[:, rows] = past
             return
         new = sample[:, rows]
-        more, total = scratch.array("more", shape), scratch.array("total", shape)
-        bounded_exp(logits[renew, rows][0], options.logit_bound, more)
-        held = np.add(more, 1, out=scratch.array("held", shape))
+        more, total = workspace.array("more", shape), workspace.array("total", shape)
+        bounded_exp(logits[sample_blend, rows][0], options.logit_bound, more)
+        held = np.add(more, 1, out=workspace.array("held", shape))
         more *= new[3]
         np.add(past[3], more, out=total)
         np.divide(total, held, out=planes[3, rows])
         more /= total
         rest = np.divide(past[3], total, out=total)
         # two products, since a difference would cancel where a firefly meets a dark past
-        for light, fresh, target in zip(past, new, planes[:3, rows], strict=False):
+        for light, own_sample, target in zip(past, new, planes[:3, rows], strict=False):
             np.multiply(light, rest, out=target)
-            cv2.accumulateProduct(fresh, more, target)
+            cv2.accumulateProduct(own_sample, more, target)
 
     strips.run(work, *mean.shape[:2])
     return planes
@@ -213,7 +213,7 @@ def _renewed(
 
 def _pool(
     fine: np.ndarray,
-    logits: np.ndarray | Blocks,
+    logits: np.ndarray | DepthToSpace,
     pool: slice,
     options: PyramidKernels,
     strips: Strips,
@@ -223,10 +223,10 @@ def _pool(
     height, width = coarse.shape[1:]
 
     def work(rows: slice) -> None:
-        scratch = strips.scratch
+        workspace = strips.workspace
         source = slice(2 * rows.start, 2 * rows.stop)
         shape = (source.stop - source.start, 2 * width)
-        weight, product = scratch.array("weight", shape), scratch.array("product", shape)
+        weight, product = workspace.array("weight", shape), workspace.array("product", shape)
         bounded_exp(logits[pool, source][0], options.logit_bound, weight)
         total = halve(weight)
         weight *= fine[3, source]
@@ -257,7 +257,7 @@ class _Level:
 
     planes: np.ndarray
     coarser: Doubled | None
-    logits: np.ndarray | Blocks
+    logits: np.ndarray | DepthToSpace
     layout: LevelLayout
     options: PyramidKernels
 
@@ -265,49 +265,51 @@ class _Level:
         """The whole level with its border repeated, into ``(3, h + 2, w + 2)``."""
         height, width = self.planes.shape[1:]
         inner = result[:, 1:-1, 1:-1]
-        strips.run(lambda rows: self.blend(rows, inner[:, rows], strips.scratch), height, width)
+        strips.run(lambda rows: self.blend(rows, inner[:, rows], strips.workspace), height, width)
         _repeat_border(result, top=True, bottom=True)
 
-    def resolve(self, rows: slice, light: Filterable, out: np.ndarray, scratch: Scratch) -> None:
+    def resolve(
+        self, rows: slice, light: Filterable, out: np.ndarray, workspace: Workspace
+    ) -> None:
         """Rows of the picture, ``(rows, w, 3)``: blended, remodulated and resolved."""
         height, width = light.mean.shape[:2]
         # the resolve looks one pixel around; at the border of the frame that is repeated
         around, inner = with_halo(rows, 1, height)
         shape = (3, rows.stop - rows.start + 2, self.planes.shape[2] + 2)
-        padded = scratch.array("padded", shape)
+        padded = workspace.array("padded", shape)
         top = 1 - inner.start
         filled = slice(top, top + around.stop - around.start)
-        self.blend(around, padded[:, filled, 1:-1], scratch)
-        if light.modulator is not None:
-            by = scratch.array("by", (3, around.stop - around.start, width))
-            padded[:, filled, 1 : 1 + width] *= planes_of(light.modulator[around], out=by)
+        self.blend(around, padded[:, filled, 1:-1], workspace)
+        if light.remodulation_albedo is not None:
+            by = workspace.array("by", (3, around.stop - around.start, width))
+            padded[:, filled, 1 : 1 + width] *= planes_of(light.remodulation_albedo[around], out=by)
         padded = padded[:, :, : width + 2]
         _repeat_border(padded, top=rows.start == 0, bottom=rows.stop == height)
         past = None if light.previous is None else light.previous[rows]
         logits = self.logits[self.layout.resolve, rows][..., :width]
-        _resolve(padded, logits, past, self.options, out, scratch)
+        _resolve(padded, logits, past, self.options, out, workspace)
 
-    def blend(self, rows: slice, out: np.ndarray, scratch: Scratch) -> None:
+    def blend(self, rows: slice, out: np.ndarray, workspace: Workspace) -> None:
         """Rows of the level, ``(3, rows, w)``: itself, its kernels and the coarser level."""
         height, width = self.planes.shape[1:]
         shape = (rows.stop - rows.start, width)
         maps = self.logits[self.layout.blend, rows]
-        shares = scratch.array("shares", maps.shape)
+        shares = workspace.array("shares", maps.shape)
         for logit, share in zip(maps, shares, strict=True):
             bounded_exp(logit, self.options.logit_bound, share)
         others = list(shares)
         if self.coarser is None:  # itself at logit 0, then the kernels
-            light = scratch.array("light", (3, *shape))
+            light = workspace.array("light", (3, *shape))
             np.copyto(light, self.planes[:3, rows])
         else:  # the coarser level at logit 0, then itself, then the kernels
-            light = self.coarser.rows(rows, scratch)
+            light = self.coarser.rows(rows, workspace)
             own = others.pop(0)
             # a sample that weighs less than one counts as little for its own pixel, see
             # docs/decisions.md: else a lone firefly of a first frame would lift it
-            own *= np.minimum(self.planes[3, rows], 1, out=scratch.array("worth", shape))
+            own *= np.minimum(self.planes[3, rows], 1, out=workspace.array("sample_weight", shape))
             for plane, sums in zip(self.planes, light, strict=False):
                 cv2.accumulateProduct(plane[rows], own, sums)
-        normal = scratch.array("normal", shape)
+        normal = workspace.array("normal", shape)
         np.add(shares[0], 1, out=normal)
         for share in shares[1:]:
             normal += share
@@ -316,7 +318,7 @@ class _Level:
             near, inner = with_halo(rows, size // 2, height)
             strip = (near.stop - near.start, width)
             weight, product, box = (
-                scratch.array(name, strip) for name in ("weight", "product", "box")
+                workspace.array(name, strip) for name in ("weight", "product", "box")
             )
             importance = slice(index, index + 1)
             bounded_exp(self.logits[importance, near][0], self.options.logit_bound, weight)
@@ -326,33 +328,33 @@ class _Level:
                 np.multiply(weight, plane[near], out=product)
                 cv2.accumulateProduct(box_means(product, size, box)[inner], share, sums)
         if self.layout.distances:
-            self._add_around(rows, light, normal, scratch)
+            self._add_around(rows, light, normal, workspace)
         np.multiply(light, np.reciprocal(normal, out=normal), out=out)
 
     def _add_around(
-        self, rows: slice, light: np.ndarray, normal: np.ndarray, scratch: Scratch
+        self, rows: slice, light: np.ndarray, normal: np.ndarray, workspace: Workspace
     ) -> None:
         """Add neighbours, each by a weight of its own, and the weights."""
         distances = self.layout.distances
         maps = self.logits[self.layout.around, rows]
-        weights = scratch.array("weights", maps.shape)
+        weights = workspace.array("weights", maps.shape)
         for logit, weight in zip(maps, weights, strict=True):
             bounded_exp(logit, self.options.logit_bound, weight)
             normal += weight
         margin, count = max(distances), len(NEIGHBOURS)
-        padded = _padded(self.planes[:3], rows, margin, scratch)
+        padded = _padded(self.planes[:3], rows, margin, workspace)
         for index, distance in enumerate(distances):
             crop = slice(margin - distance, distance - margin or None)
             near = padded[:, crop, crop]
             _add_neighbours(near, weights[count * index :][:count], light, distance)
 
 
-def _padded(planes: np.ndarray, rows: slice, margin: int, scratch: Scratch) -> np.ndarray:
+def _padded(planes: np.ndarray, rows: slice, margin: int, workspace: Workspace) -> np.ndarray:
     """Rows of ``(3, h, w)`` with a margin of pixels on each side, repeated at the border."""
     height, width = planes.shape[1:]
     near, inner = with_halo(rows, margin, height)
     count = rows.stop - rows.start
-    padded = scratch.array("neighbours", (3, count + 2 * margin, width + 2 * margin))
+    padded = workspace.array("neighbours", (3, count + 2 * margin, width + 2 * margin))
     top = margin - inner.start
     bottom = top + near.stop - near.start
     padded[:, top:bottom, margin:-margin] = planes[:, near]
@@ -401,7 +403,7 @@ def _resolve(
     previous: np.ndarray | None,
     options: PyramidKernels,
     out: np.ndarray,
-    scratch: Scratch,
+    workspace: Workspace,
 ) -> None:
     """Average pixels with their neighbours and the previous output.
 
@@ -417,21 +419,21 @@ def _resolve(
         Written.
     """
     height, width = out.shape[:2]
-    weights = scratch.array("weights", logits.shape)
+    weights = workspace.array("weights", logits.shape)
     for logit, weight in zip(logits, weights, strict=True):
         bounded_exp(logit, options.logit_bound, weight)
-    normal = scratch.array("normal", (height, width))
+    normal = workspace.array("normal", (height, width))
     np.add(weights[0], weights[1], out=normal)
     for weight in weights[2:-1]:
         normal += weight
     normal += 1
     past: np.ndarray | None = None
     if previous is not None:
-        past = planes_of(previous, out=scratch.array("past", (4, height, width)))
+        past = planes_of(previous, out=workspace.array("past", (4, height, width)))
         weights[-1] *= past[3]
         normal += weights[-1]
     np.reciprocal(normal, out=normal)
-    resolved = scratch.array("resolved", (3, height, width))
+    resolved = workspace.array("resolved", (3, height, width))
     np.copyto(resolved, padded[:, 1:-1, 1:-1])
     _add_neighbours(padded, weights[: len(NEIGHBOURS)], resolved)
     if past is not None:

@@ -1,9 +1,9 @@
 """Other layers of a frame, filtered exactly as its color was: their sums stay sums.
 
-All that kernels do to color is linear once their weights are known: the divisor, what a sample
-weighs, where the past is taken from, the kernels, the blends, the resolve. So a layer goes the way
-of the color again with the color's weights, and with a past of its own. Where layers add up to the
-color, what comes out adds up to the denoised color, to float rounding.
+All that kernels do to color is linear once their weights are known: the demodulation albedo, what a
+sample weighs, where the past is taken from, the kernels, the blends, the resolve. So a layer goes
+the way of the color again with the color's weights, and with a past of its own. Where layers add up
+to the color, what comes out adds up to the denoised color, to float rounding.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.strips import Strips, interleave, planes_of
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.families.contract import Context
 from stillray.model_spec.loader import ModelSpec
 from stillray.stages import accumulate as acc
@@ -84,9 +84,9 @@ class FilteredLayers:
     def __call__(self, name: str, radiance: np.ndarray, *, irradiance: bool = False) -> np.ndarray:
         """Filter a layer, see `stillray.families.contract.LayerFilter`."""
         prepared, past = self._prepared, self._plan.moved
-        divisor = None if irradiance else prepared.divisor
+        albedo = None if irradiance else prepared.demodulation_albedo
         light = self._repaired(radiance)
-        light = light * self._factor if divisor is None else light / divisor * self._factor
+        light = light * self._factor if albedo is None else light / albedo * self._factor
         new, weight = planes_of(light), self._sample[3]
         mean, sample = cv2.merge([light, weight]), None
         if self._accumulated is not None and past is not None:
@@ -95,14 +95,14 @@ class FilteredLayers:
         own = Filterable(
             mean=mean,
             sample=sample,
-            modulator=None if irradiance else prepared.modulator,
+            remodulation_albedo=None if irradiance else prepared.remodulation_albedo,
             previous=self._previous(name),
         )
         image = self._kernels.reconstruct(own, self._frozen, self._strips, {})
         if self._plan.wants.temporal:
             output: np.ndarray | None = None
             if self._plan.wants.previous_output:
-                output = previous_output.remember(image, self._strips)
+                output = previous_output.keep(image, self._strips)
             self.pasts[name] = LayerPast(mean=mean, output=output)
         return image
 
@@ -138,10 +138,11 @@ class FilteredLayers:
     def _factor(self) -> np.ndarray:
         """What each pixel of the color was darkened by as an outlier, ``(h, w, 1)``.
 
-        See `stillray.stages.accumulate.bound`: all channels of a pixel alike, so their sums tell.
+        See `stillray.stages.accumulate.clamp_fireflies`: all channels of a pixel
+        alike, so their sums tell.
         """
-        color, divisor = self._plan.buffers.color, self._prepared.divisor
-        irradiance = color if divisor is None else color / divisor
+        color, albedo = self._plan.buffers.color, self._prepared.demodulation_albedo
+        irradiance = color if albedo is None else color / albedo
         total = np.ones((1, 3), np.float32)
         before, after = cv2.transform(irradiance, total), self._sample[:3].sum(axis=0)
         factor = np.ones_like(before)
@@ -156,7 +157,7 @@ class FilteredLayers:
         if past is None or past.output is None:
             return None
         positions = self._prepared.picture_positions
-        return previous_output.recall_of_layers(
+        return previous_output.layer_resampler(
             past.output, positions, self._strips, sharp=self._kernels.sharp
         )
 
@@ -169,28 +170,28 @@ class FilteredLayers:
         past, prepared, strips = self._plan.moved, self._prepared, self._strips
         if past is None or prepared.motion is None:
             return None
-        motion, before, now = prepared.motion, past.guides, prepared.history.guides
+        motion, before, now = prepared.motion, past.surface_guides, prepared.history.surface_guides
         weight, options = self._sample[3], self._kernels.spec.temporal
         mask: np.ndarray | None = None
         if before is not None and now is not None and motion.any():
-            mask = discontinuities(before, strips, Scratch())
+            mask = discontinuities(before, strips, Workspace())
 
         def accumulated(mean: np.ndarray, light: np.ndarray) -> np.ndarray:
             result = np.empty_like(mean)
 
             def work(rows: slice) -> None:
-                scratch = strips.scratch
+                workspace = strips.workspace
                 positions = rep.positions_of(motion[rows], rows) if motion[rows].any() else None
-                guides = None if now is None else planes_of(now[rows])
+                surface_guides = None if now is None else planes_of(now[rows])
                 warped = rep.reproject(
-                    mean, before, mask, guides, positions, rows, options, scratch
+                    mean, before, mask, surface_guides, positions, rows, options, workspace
                 )
-                planes = planes_of(warped, out=scratch.array("mean", (4, *warped.shape[:2])))
+                planes = planes_of(warped, out=workspace.array("mean", (4, *warped.shape[:2])))
                 if prepared.history_confidence is not None:
                     planes[3] *= prepared.history_confidence[rows]
                 prepared.counts.held_by_pixel(planes[3], rows)
                 own = prepared.counts.weight_by_pixel(weight[rows], rows)
-                acc.accumulate(light[:, rows], own, planes, options, scratch)
+                acc.accumulate(light[:, rows], own, planes, options, workspace)
                 prepared.counts.by_frame(planes[3], rows)
                 interleave(planes, out=result[rows])
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from stillray.arrays.resample import double, halve
 from stillray.arrays.strips import Strips, interleave, planes_of, with_halo
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.families.box_filter import bounded_exp, filter_planes
 from stillray.families.cost import multi_resolution_cost
 from stillray.families.kernel_pyramid import alignment, receptive_field
@@ -31,8 +31,8 @@ from stillray.stages.state import Filterable
 from stillray.timing import timed, timed_pass
 
 #: How a level is filtered, as `stillray.families.box_filter.filter_planes`: mean, logits (its own
-#: first, then perhaps the blend's), rows and options to planes ``(3, rows, w)`` in the scratch.
-LevelFilter = Callable[[np.ndarray, np.ndarray, slice, FusedKernels, Scratch], np.ndarray]
+#: first, then perhaps the blend's), rows and options to planes ``(3, rows, w)`` in the workspace.
+LevelFilter = Callable[[np.ndarray, np.ndarray, slice, FusedKernels, Workspace], np.ndarray]
 
 
 def level_planes(level: int, levels: int, options: FusedKernels) -> int:
@@ -130,15 +130,15 @@ class MultiResolutionModel(TemporalKernels):
     ) -> np.ndarray:
         options, levels = self._options, self._levels
         logits = outputs[:levels]
-        settled = [*outputs[levels:], None] if len(outputs) > levels else [None] * levels
+        frozen = [*outputs[levels:], None] if len(outputs) > levels else [None] * levels
         height, width = light.mean.shape[:2]
-        image, by = np.empty((height, width, 3), np.float32), light.modulator
+        image, by = np.empty((height, width, 3), np.float32), light.remodulation_albedo
         coarser: np.ndarray | None = None
         with timed(timings, "reconstruct"):
             means = _resolutions(light.mean, logits, options, strips)
             for level in reversed(range(1, levels)):
                 coarser = _level(
-                    means[level], coarser, logits[level], settled[level], options, strips,
+                    means[level], coarser, logits[level], frozen[level], options, strips,
                     self.level_filter,
                 )  # fmt: skip
         with timed_pass(timings) as part:
@@ -148,13 +148,13 @@ class MultiResolutionModel(TemporalKernels):
                 inside = slice(rows.start, min(rows.stop, height))
                 with part("reconstruct"):
                     planes = _rows(
-                        means[0], coarser, logits[0], settled[0], rows, options, strips.scratch,
+                        means[0], coarser, logits[0], frozen[0], rows, options, strips.workspace,
                         self.level_filter,
                     )  # fmt: skip
                     kept = planes[:, : inside.stop - inside.start, :width]
                     interleave(kept, out=image[inside])
                 if by is not None:
-                    with part("modulate"):
+                    with part("remodulate"):
                         image[inside] *= by[inside]
 
             strips.run(work, -(-height // 2), 2 * means[0].shape[1])
@@ -182,10 +182,10 @@ def _halved(
     coarse = np.empty((height, width, 4), np.float32)
 
     def work(rows: slice) -> None:
-        scratch = strips.scratch
+        workspace = strips.workspace
         source = fine[2 * rows.start : 2 * rows.stop]
-        planes = planes_of(source, out=scratch.array("mean", (4, *source.shape[:2])))
-        made = scratch.array("made", (4, rows.stop - rows.start, width))
+        planes = planes_of(source, out=workspace.array("mean", (4, *source.shape[:2])))
+        made = workspace.array("made", (4, rows.stop - rows.start, width))
         held = halve(planes[3], out=made[3])
         for plane, half in zip(planes[:3], made, strict=False):
             if options.weigh_samples:
@@ -203,7 +203,7 @@ def _level(
     mean: np.ndarray,
     coarser: np.ndarray | None,
     logits: np.ndarray,
-    settled: np.ndarray | None,
+    frozen: np.ndarray | None,
     options: FusedKernels,
     strips: Strips,
     level_filter: LevelFilter = filter_planes,
@@ -215,7 +215,7 @@ def _level(
     def work(blocks: slice) -> None:
         rows = slice(2 * blocks.start, min(2 * blocks.stop, height))
         result[:, rows] = _rows(
-            mean, coarser, logits, settled, rows, options, strips.scratch, level_filter
+            mean, coarser, logits, frozen, rows, options, strips.workspace, level_filter
         )
 
     # whole blocks of rows, but at the coarsest level, where there are none
@@ -227,10 +227,10 @@ def _rows(
     mean: np.ndarray,
     coarser: np.ndarray | None,
     logits: np.ndarray,
-    settled: np.ndarray | None,
+    frozen: np.ndarray | None,
     rows: slice,
     options: FusedKernels,
-    scratch: Scratch,
+    workspace: Workspace,
     level_filter: LevelFilter,
 ) -> np.ndarray:
     """Rows of a level, filtered and blended with the coarser level.
@@ -242,7 +242,7 @@ def _rows(
     coarser : (3, h / 2, w / 2) float32 or None
         The coarser level; None for this level alone.
     logits : (planes, h, w) float32
-    settled : (3, h, w) float32 or None
+    frozen : (3, h, w) float32 or None
         How far the level gives way, if that is known already.
     rows
         Which rows; with a coarser level whole blocks.
@@ -250,18 +250,18 @@ def _rows(
     Returns
     -------
     (3, rows, w) float32
-        In the scratch.
+        In the workspace.
     """
     near, own = with_halo(rows, max(options.kernel_sizes) // 2, len(mean))
-    fine = level_filter(mean[near], logits[:, near], own, options, scratch)
+    fine = level_filter(mean[near], logits[:, near], own, options, workspace)
     if coarser is None:
         return fine
     coarse = coarser[:, rows.start // 2 : rows.stop // 2]
-    if settled is not None:
-        for plane, above, share in zip(fine, coarse, settled[:, rows], strict=True):
+    if frozen is not None:
+        for plane, above, share in zip(fine, coarse, frozen[:, rows], strict=True):
             cv2.accumulateProduct(double(_step(plane, above)), share, plane)
         return fine
-    alpha, held = scratch.array("alpha", fine.shape[1:]), scratch.array("held", fine.shape[1:])
+    alpha, held = workspace.array("alpha", fine.shape[1:]), workspace.array("held", fine.shape[1:])
     bounded_exp(logits[-1, rows], options.logit_bound, alpha)
     alpha /= np.add(alpha, 1, out=held)
     for plane, above in zip(fine, coarse, strict=True):

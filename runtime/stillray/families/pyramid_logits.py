@@ -31,7 +31,7 @@ class LevelLayout:
     resolve
         At the finest level the eight `NEIGHBOURS` and the previous output, against the pixel
         itself at logit 0; empty elsewhere.
-    renew
+    sample_blend
         At the finest level how much this frame's sample counts beside what was accumulated, which
         holds it already; empty elsewhere.
     double
@@ -49,7 +49,7 @@ class LevelLayout:
     pool: slice
     blend: slice
     resolve: slice
-    renew: slice
+    sample_blend: slice
     double: slice
     around: slice
     distances: tuple[int, ...]

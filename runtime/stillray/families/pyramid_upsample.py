@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.model_spec.loader import PyramidKernels
 
 
@@ -30,19 +30,19 @@ class Doubled:
     def __init__(self, light: np.ndarray, logits: np.ndarray, options: PyramidKernels) -> None:
         self._light, self._logits, self._bound = light, logits, options.logit_bound
 
-    def rows(self, rows: slice, scratch: Scratch) -> np.ndarray:
-        """Rows of it, ``(3, rows, 2 w)``, which lie in the scratch."""
+    def rows(self, rows: slice, workspace: Workspace) -> np.ndarray:
+        """Rows of it, ``(3, rows, 2 w)``, which lie in the workspace."""
         top, bottom = rows.start // 2, -(-rows.stop // 2)
         high, width = bottom - top, self._logits.shape[2]
         # few calls for much: each waits for the interpreter's lock
-        weights = scratch.array("beside and above", (2, 4, high, width))
+        weights = workspace.array("beside and above", (2, 4, high, width))
         given = self._logits[:, top:bottom].reshape(weights.shape)
         np.clip(given, np.float32(-self._bound), np.float32(self._bound), out=weights)
         cv2.exp(weights.reshape(-1, width), dst=weights.reshape(-1, width))
-        own = scratch.array("own", (4, high, width))
+        own = workspace.array("own", (4, high, width))
         np.add(weights[0], weights[1], out=own)
-        mixed = scratch.array("mixed", (3, 2, high, width))
-        doubled = scratch.array("doubled", (3, 2 * high, 2 * width))
+        mixed = workspace.array("mixed", (3, 2, high, width))
+        doubled = workspace.array("doubled", (3, 2 * high, 2 * width))
         middle = self._light[:, 1 + top : 1 + bottom]
         with np.errstate(invalid="ignore"):  # a NaN logit: the caller finds it in the image
             own += 2

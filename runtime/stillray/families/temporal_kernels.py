@@ -112,7 +112,7 @@ class TemporalKernels(ABC):
         strips
             Where the work runs.
         timings
-            ``"reconstruct"``, and ``"modulate"`` where that is a pass of its own.
+            ``"reconstruct"``, and ``"remodulate"`` where that is a pass of its own.
         """
 
     def frozen(
@@ -161,9 +161,9 @@ class TemporalKernels(ABC):
             Stage("network", True, self.spec.name),
             Stage("reconstruct", True, self.method),
             Stage("upscale", False, "the model's scale is 1"),
-            Stage("modulate", modulates, why),
+            Stage("remodulate", modulates, why),
             Stage("layers", layers > 0, f"{layers} other layers" if layers else "none are given"),
-            Stage("remember", remembers, why_remember),
+            Stage("keep_output", remembers, why_remember),
         ]
 
     def step(self, plan: Plan, context: Context) -> Step:
@@ -195,13 +195,13 @@ class TemporalKernels(ABC):
             strips=context.strips,
             timings=context.timings,
             workspace=context.workspace,
-            spare=history_of(context.spare),
+            back_buffer=history_of(context.back_buffer),
         )
         prepared = prepare_planned(early, means)
-        if not plan.runs("recall") or early.past is None:
+        if not plan.runs("resample_output") or early.past is None:
             return prepared, None
-        with timed(context.timings, "recall"):
-            previous = previous_output.recalled(
+        with timed(context.timings, "resample_output"):
+            previous = previous_output.resampled(
                 early.past, prepared, context.strips, context.workspace, sharp=self.looks.sharp
             )
         return prepared, previous
@@ -240,11 +240,11 @@ class TemporalKernels(ABC):
         multiple, names = self.looks.alignment, self.spec.network.features
         full = (-(-height // multiple) * multiple, -(-width // multiple) * multiple)
         planes = context.workspace.array("features", (1, len(names), *full))
-        exposure, modulator = prepared.history.exposure, prepared.modulator
+        exposure, remodulation = prepared.history.exposure, prepared.remodulation_albedo
         albedo, normal, depth = prepared.albedo, prepared.normal, prepared.depth
 
         def pack(rows: slice) -> None:
-            target, scratch = planes[0, :, rows, :width], context.strips.scratch
+            target, workspace = planes[0, :, rows, :width], context.strips.workspace
             features.feature_planes(
                 prepared.history.mean[rows],
                 prepared.local[rows],
@@ -257,17 +257,17 @@ class TemporalKernels(ABC):
                 depth=None if depth is None else depth[rows],
                 depth_unit=prepared.depth_unit,
                 # to a network that has seen one sample a pixel alone, more look like a long past
-                frame_samples=prepared.counts.told if self.spec.knows_samples else 1.0,
+                frame_samples=prepared.counts.for_network if self.spec.knows_samples else 1.0,
                 out=target,
-                scratch=scratch,
+                workspace=workspace,
             )
             features.previous_planes(
                 None if previous is None else previous[rows],
-                None if modulator is None else modulator[rows],
+                None if remodulation is None else remodulation[rows],
                 exposure,
                 names,
                 out=target,
-                scratch=scratch,
+                workspace=workspace,
             )
 
         with timed(context.timings, "encode"):
@@ -286,10 +286,10 @@ class TemporalKernels(ABC):
         context: Context,
     ) -> State:
         output: np.ndarray | None = None
-        if plan.runs("remember"):
-            with timed(context.timings, "remember"):
-                spare = history_of(context.spare)
-                output = previous_output.remember(image, context.strips, spare)
+        if plan.runs("keep_output"):
+            with timed(context.timings, "keep_output"):
+                back_buffer = history_of(context.back_buffer)
+                output = previous_output.keep(image, context.strips, back_buffer)
         pasts = {} if layers is None else layers.pasts
         history = replace(prepared.history, output=output, layers=pasts)
         return State(shape=plan.before_network.shape, temporal=history)
@@ -322,7 +322,7 @@ def filterable(prepared: Prepared, previous: np.ndarray | None) -> Filterable:
     return Filterable(
         mean=prepared.history.mean,
         sample=prepared.sample,
-        modulator=prepared.modulator,
+        remodulation_albedo=prepared.remodulation_albedo,
         previous=previous,
     )
 
@@ -339,5 +339,5 @@ def crop(prepared: Prepared, tile: Tile) -> Prepared:
     if prepared.sample is not None:
         values["sample"] = np.ascontiguousarray(prepared.sample[:, *tile.outer])
     past = prepared.history
-    values["history"] = replace(past, mean=cut(past.mean), guides=None)
+    values["history"] = replace(past, mean=cut(past.mean), surface_guides=None)
     return replace(prepared, **values)

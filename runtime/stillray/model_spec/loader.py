@@ -93,12 +93,12 @@ class Transfer:
 class Temporal:
     """Reprojection and accumulation before the network (Fan et al. 2021, section 4.1)."""
 
-    max_samples: float  # samples that a pixel's history is worth at most, >= 1
+    max_samples: float  # samples that a pixel's history counts as at most, >= 1
     # a sample this many times its surroundings counts two thirds in a pixel that holds three, > 0
     outlier_ratio: float
     normal_cosine: float  # a tap is accepted when its normal agrees at least so much, [-1, 1]
     depth_ratio: float  # and its depth differs at most by this share, > 0
-    # samples that the albedo's past is worth at most, where the result is multiplied by it, >= 0;
+    # samples that the albedo's past counts as at most, where the result is multiplied by it, >= 0;
     # 0: by this frame's alone
     albedo_samples: float
 

@@ -193,7 +193,7 @@ def require_fit(interface: Interface, spec: ModelSpec, origin: Path | str) -> No
         )
 
 
-def tuned(
+def with_overrides(
     info: ModelInfo, *, kernels: int | None = None, max_samples: float | None = None
 ) -> ModelInfo:
     """A model with other settings than it was trained with, for `stillray.Denoiser`.
@@ -205,7 +205,7 @@ def tuned(
     kernels
         How many of its fused kernels to use, the smallest first; weight-sharing kernels only.
     max_samples
-        Samples that a pixel's history is worth at most, 1 or more: how long it remembers.
+        Samples that a pixel's history counts as at most, 1 or more: how long it remembers.
 
     Raises
     ------

@@ -10,7 +10,7 @@ from types import TracebackType
 import numpy as np
 
 from stillray.arrays.strips import Strips, available_threads
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.errors import InputError
 from stillray.families.contract import Context, Engine, Family, Request, State
 from stillray.families.registry import FAMILIES
@@ -33,7 +33,7 @@ class Denoiser:
     ----------
     model
         A quality (``"fast"``, ``"balanced"``, ``"high"``), a model's name, the path of an
-        .onnx file, or what `stillray.models.registry.tuned` gives.
+        .onnx file, or what `stillray.models.registry.with_overrides` gives.
     threads
         Threads to use, 1 or more, of which no more than this machine has processors are started;
         None for every processor that this process may use.
@@ -90,9 +90,9 @@ class Denoiser:
         self._owns_engine = engine is None
         self._turns = Turns()
         self._strips = Strips(threads)
-        self._workspace = Scratch()
+        self._workspace = Workspace()
         self._state: State | None = None
-        self._spare: State | None = None  # what the next state may overwrite
+        self._back_buffer: State | None = None  # what the next state may overwrite
         self._shared = False  # whether somebody may hold the current state
 
     def __enter__(self) -> Denoiser:
@@ -219,7 +219,7 @@ class Denoiser:
                 engine=self.engine,
                 workspace=self._workspace,
                 timings=self.last_timings,
-                spare=self._spare,
+                back_buffer=self._back_buffer,
             )
             step = self._family.step(self._plan(frame, layers, context), context)
             images: dict[str, np.ndarray] = {}
@@ -249,10 +249,10 @@ class Denoiser:
 
     def _remember(self, state: State) -> None:
         # two states change places, unless somebody may still look at the older
-        self._spare = None if self._shared else self._state
+        self._back_buffer = None if self._shared else self._state
         self._state, self._shared = state, False
         if not self.temporal:
-            self._state, self._spare = None, state
+            self._state, self._back_buffer = None, state
 
 
 def _checked_threads(threads: int | None) -> int:

@@ -1,1 +1,1 @@
-"""What denoising costs here: stages, memory, floors and scaling, on frames that are made up."""
+"""What denoising costs here: stages, memory, rooflines and scaling, on frames that are made up."""

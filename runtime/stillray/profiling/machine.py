@@ -30,7 +30,7 @@ _TRIES = 5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Peaks:
+class PeakRates:
     """The best rates of a machine, measured.
 
     Attributes
@@ -58,11 +58,11 @@ def describe() -> dict[str, str]:
     }
 
 
-def measure_peaks(threads: int) -> Peaks:
+def measure_peak_rates(threads: int) -> PeakRates:
     """The machine's best rates with a number of threads, each the best of a few, in a process."""
     environment = {**os.environ, **{name: str(threads) for name in _BLAS_THREADS}}
     found = json.loads(output_of([sys.executable, "-m", __name__, str(threads)], environment))
-    return Peaks(operations=found["operations"], bandwidth=found["bandwidth"])
+    return PeakRates(operations=found["operations"], bandwidth=found["bandwidth"])
 
 
 def output_of(command: Sequence[str], environment: dict[str, str] | None = None) -> str:
@@ -108,7 +108,7 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def _print_peaks(threads: int) -> None:
+def _print_peak_rates(threads: int) -> None:
     import time
 
     import numpy as np
@@ -137,4 +137,4 @@ def _print_peaks(threads: int) -> None:
 
 
 if __name__ == "__main__":
-    _print_peaks(int(sys.argv[1]))
+    _print_peak_rates(int(sys.argv[1]))

@@ -47,7 +47,7 @@ def save(figure: Any, path: Path) -> None:
 
 
 def draw_profile(results: Sequence[Result], path: Path) -> None:
-    """Stacked bars: the median of every stage, and under it the stage's floor.
+    """Stacked bars: the median of every stage, and under it the stage's roofline.
 
     Files are left out: reading and writing do not depend on the model.
     """
@@ -66,7 +66,7 @@ def _draw_bars(axes: Axes, results: Sequence[Result]) -> None:
     longest = max(result.run.stages()[TOTAL].median for result in results)
     for row, result in enumerate(results):
         stages = result.run.stages()
-        left = floor_left = 0.0
+        left = roofline_left = 0.0
         for name in names:
             if name not in stages:
                 continue
@@ -76,9 +76,9 @@ def _draw_bars(axes: Axes, results: Sequence[Result]) -> None:
             if width > _LEAST_LABELLED * longest:
                 axes.text(left + width / 2, row, f"{width:.0f}", ha="center", va="center")
             left += width
-            floor = result.floor(name) or 0.0
-            axes.barh(row + 0.34, floor, 0.14, floor_left, color=colours[name], alpha=0.75)
-            floor_left += floor
+            roofline = result.roofline(name) or 0.0
+            axes.barh(row + 0.34, roofline, 0.14, roofline_left, color=colours[name], alpha=0.75)
+            roofline_left += roofline
         total = stages[TOTAL]
         axes.text(
             left + 0.01 * longest,
@@ -86,7 +86,7 @@ def _draw_bars(axes: Axes, results: Sequence[Result]) -> None:
             f"{total.median:.0f} ms   p95 {total.p95:.0f}, worst {total.worst:.0f}",
             va="center",
         )
-        axes.text(floor_left + 0.01 * longest, row + 0.34, "floor", va="center", fontsize=7)
+        axes.text(roofline_left + 0.01 * longest, row + 0.34, "roofline", va="center", fontsize=7)
     axes.set_yticks(
         range(len(results)), [title(result).replace(", ", "\n", 1) for result in results]
     )

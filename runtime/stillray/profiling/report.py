@@ -45,27 +45,28 @@ def _run(result: Result) -> dict[str, Any]:
             name: {
                 **asdict(summary),
                 **(asdict(result.work[name]) if name in result.work else {}),
-                **_against_floor(summary.median, result.floor(name)),
+                **_against_roofline(summary.median, result.roofline(name)),
             }
             for name, summary in run.stages().items()
         },
     }
 
 
-def _against_floor(median: float, floor: float | None) -> dict[str, float]:
-    return {} if not floor else {"floor": floor, "ratio": median / floor}
+def _against_roofline(median: float, roofline: float | None) -> dict[str, float]:
+    return {} if not roofline else {"roofline": roofline, "ratio": median / roofline}
 
 
 def table(result: Result) -> Table:
-    """A row a stage: milliseconds, work, floor and the ratio to it."""
+    """A row a stage: milliseconds, work, roofline and the ratio to it."""
     from rich.table import Table
 
     rows = Table(title=title(result), title_justify="left", box=None, pad_edge=False)
     rows.add_column("stage")
-    for heading in ("median ms", "p95", "p99", "worst", "first", "GFLOP", "MB", "floor", "ratio"):
+    times = ("median ms", "p95", "p99", "worst", "first")
+    for heading in (*times, "GFLOP", "MB", "roofline", "ratio"):
         rows.add_column(heading, justify="right")
     for name, summary in result.run.stages().items():
-        work, floor = result.work.get(name), result.floor(name)
+        work, roofline = result.work.get(name), result.roofline(name)
         first = result.run.first.get(name)
         rows.add_row(
             name,
@@ -73,8 +74,8 @@ def table(result: Result) -> Table:
             "" if first is None else f"{first:.1f}",
             "" if work is None else f"{work.operations / 1e9:.2f}",
             "" if work is None else f"{work.bytes / 1e6:.0f}",
-            "" if not floor else f"{floor:.1f}",
-            "" if not floor else f"{summary.median / floor:.1f}",
+            "" if not roofline else f"{roofline:.1f}",
+            "" if not roofline else f"{summary.median / roofline:.1f}",
             style="bold" if name == TOTAL else None,
         )
     return rows
@@ -93,9 +94,9 @@ def remarks(result: Result) -> list[str]:
             "over the frames and the libraries"
         )
     lines.append(
-        f"floor: the dearer of operations at {peaks.operations / 1e9:.0f} GFLOP/s (matrix product) "
-        f"and bytes at {peaks.bandwidth / 1e9:.1f} GB/s (copy), measured here; {REST} is what no "
-        "stage accounts for"
+        f"roofline: the slower of operations at {peaks.operations / 1e9:.0f} GFLOP/s (matrix "
+        f"product) and bytes at {peaks.bandwidth / 1e9:.1f} GB/s (copy), measured here; {REST} is "
+        "what no stage accounts for"
     )
     return lines
 

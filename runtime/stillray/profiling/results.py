@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from itertools import groupby
 
 from stillray.profiling.clip import open_clip
-from stillray.profiling.machine import Peaks, measure_peaks
+from stillray.profiling.cost import Cost, stage_costs
+from stillray.profiling.machine import PeakRates, measure_peak_rates
 from stillray.profiling.measure import TOTAL, Memory, Run, Setting, measure, measure_memory
-from stillray.profiling.work import Work, stage_work
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,15 +29,15 @@ class Result:
     """
 
     run: Run
-    work: dict[str, Work]
-    peaks: Peaks
+    work: dict[str, Cost]
+    peaks: PeakRates
     memory: Memory | None
 
-    def floor(self, stage: str) -> float | None:
+    def roofline(self, stage: str) -> float | None:
         """Milliseconds that a stage, or `TOTAL`, takes at least; None where nothing is known."""
         if stage == TOTAL:
-            return sum(self.floor(name) or 0.0 for name in self.run.stages() if name != TOTAL)
-        return self.work[stage].floor(self.peaks) if stage in self.work else None
+            return sum(self.roofline(name) or 0.0 for name in self.run.stages() if name != TOTAL)
+        return self.work[stage].roofline(self.peaks) if stage in self.work else None
 
 
 def profile_settings(
@@ -46,7 +46,7 @@ def profile_settings(
     source: str | None,
     seconds: float,
     memory: bool,
-    told: Callable[[str], None] = lambda line: None,
+    progress: Callable[[str], None] = lambda line: None,
 ) -> list[Result]:
     """Measure settings on a clip; those of one size in turn, frame by frame.
 
@@ -60,7 +60,7 @@ def profile_settings(
         For how long, shared among the sizes.
     memory
         Whether peak memory is measured too.
-    told
+    progress
         Called with a line that says what is being done.
 
     Raises
@@ -71,24 +71,24 @@ def profile_settings(
     sizes = [
         (size, list(group)) for size, group in groupby(settings, lambda s: (s.height, s.width))
     ]
-    peaks: dict[int, Peaks] = {}
+    peaks: dict[int, PeakRates] = {}
     for count in dict.fromkeys(setting.threads for setting in settings):
-        told(f"the machine's peaks, {count} threads")
-        peaks[count] = measure_peaks(count)
+        progress(f"the machine's peaks, {count} threads")
+        peaks[count] = measure_peak_rates(count)
     runs: list[Run] = []
-    work: list[dict[str, Work]] = []
+    work: list[dict[str, Cost]] = []
     for size, group in sizes:
         height, width = size
         clip = open_clip(source, size)
 
-        def progress(count: int, height: int = height, width: int = width) -> None:
-            told(f"{width} x {height}: frame {count}")
+        def of_frame(count: int, height: int = height, width: int = width) -> None:
+            progress(f"{width} x {height}: frame {count}")
 
-        told(f"{width} x {height}: first frames")
-        found = measure(group, clip, seconds / len(sizes), progress=progress)
+        progress(f"{width} x {height}: first frames")
+        found = measure(group, clip, seconds / len(sizes), progress=of_frame)
         runs += found
-        work += [stage_work(run.info, clip.frames[0]) for run in found]
-    told("memory")
+        work += [stage_costs(run.info, clip.frames[0]) for run in found]
+    progress("memory")
     memories = measure_memory(settings, source) if memory else [None] * len(runs)
     return [
         Result(run=run, work=needed, peaks=peaks[run.setting.threads], memory=taken)

@@ -88,7 +88,7 @@ def scaling_curves(
     *,
     threads: int,
     sizes: Sequence[tuple[int, int]] = SIZES,
-    told: Callable[[str], None] = lambda line: None,
+    progress: Callable[[str], None] = lambda line: None,
 ) -> list[Curve]:
     """All curves.
 
@@ -100,14 +100,14 @@ def scaling_curves(
         The most.
     sizes
         Height and width in pixels, growing; those that memory does not allow are left out.
-    told
+    progress
         Called with a line that says what is being done.
     """
     return [
-        against_pixels(model, sizes, threads=threads, told=told),
-        against_kernels(threads=threads, told=told),
-        against_kernel_size(threads=threads, told=told),
-        against_threads(model, threads, told=told),
+        against_pixels(model, sizes, threads=threads, progress=progress),
+        against_kernels(threads=threads, progress=progress),
+        against_kernel_size(threads=threads, progress=progress),
+        against_threads(model, threads, progress=progress),
     ]
 
 
@@ -116,7 +116,7 @@ def against_pixels(
     sizes: Sequence[tuple[int, int]],
     *,
     threads: int,
-    told: Callable[[str], None] = lambda line: None,
+    progress: Callable[[str], None] = lambda line: None,
 ) -> Curve:
     """A whole warm frame, and its memory, at several sizes, each in a process of its own."""
     done: list[tuple[int, int]] = []
@@ -129,7 +129,7 @@ def against_pixels(
         if done and memories[-1].peak * pixels / prod(done[-1]) > _MEMORY_SHARE * free:
             left_out = f"{width} x {height} would not fit into {free / 1024:.0f} GiB"
             break
-        told(f"{width} x {height}")
+        progress(f"{width} x {height}")
         setting = Setting(model=model, height=height, width=width, threads=threads)
         taken, memory = measure_alone(setting, seconds=1.5)
         done.append((height, width))
@@ -146,9 +146,9 @@ def against_pixels(
     )
 
 
-def against_kernels(*, threads: int, told: Callable[[str], None] = lambda line: None) -> Curve:
+def against_kernels(*, threads: int, progress: Callable[[str], None] = lambda line: None) -> Curve:
     """The reconstruction with 1 to 12 fused kernels of 3, 5, 7, ... pixels."""
-    told("kernels")
+    progress("kernels")
     choices = [tuple(range(3, 3 + 2 * count, 2)) for count in KERNELS]
     return Curve(
         name="kernels",
@@ -159,9 +159,11 @@ def against_kernels(*, threads: int, told: Callable[[str], None] = lambda line: 
     )
 
 
-def against_kernel_size(*, threads: int, told: Callable[[str], None] = lambda line: None) -> Curve:
+def against_kernel_size(
+    *, threads: int, progress: Callable[[str], None] = lambda line: None
+) -> Curve:
     """The reconstruction with a single kernel of 3 to 31 pixels."""
-    told("kernel sizes")
+    progress("kernel sizes")
     return Curve(
         name="kernel size",
         subject=f"reconstruction with one kernel, {_size_label()}",
@@ -172,10 +174,10 @@ def against_kernel_size(*, threads: int, told: Callable[[str], None] = lambda li
 
 
 def against_threads(
-    model: str, most: int, told: Callable[[str], None] = lambda line: None
+    model: str, most: int, progress: Callable[[str], None] = lambda line: None
 ) -> Curve:
     """A whole warm frame with 1, 2, 4, ... threads, in turn."""
-    told("threads")
+    progress("threads")
     counts = [1 << power for power in range(most.bit_length())]
     if counts[-1] < most:
         counts.append(most)

@@ -1,18 +1,18 @@
-"""Accumulation over time that neither smears fireflies nor forgets what a pixel is worth."""
+"""Accumulation over time that neither smears fireflies nor forgets how much a pixel knows."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.model_spec.loader import Temporal
 
 #: Exposed irradiance below which surroundings no longer count as darker.
 DARK = 0.02
 #: Share of ``outlier_ratio`` that a pixel's first sample may stand above its surroundings.
 FIRST_SHARE = 0.25
-#: Smallest weight of a sample: what would weigh less is made darker instead, see `bound`.
+#: Smallest weight of a sample: what would weigh less is made darker instead, see `clamp_fireflies`.
 MIN_WEIGHT = 0.1
 #: Weight of what was filled in from neighbours: better than nothing, and than nothing else.
 FILLED_WEIGHT = 1e-6
@@ -27,9 +27,9 @@ def sample_weight(
     held: np.ndarray | None,
     exposure: float,
     options: Temporal,
-    scratch: Scratch | None = None,
+    workspace: Workspace | None = None,
 ) -> np.ndarray:
-    """What a new sample is worth, in (0, 1]: less, the further it stands above what is usual.
+    """The weight of a new sample, in (0, 1]: less, the further it stands above what is usual.
 
     A sample of luminance ``L`` weighs ``1 / (1 + x^2 / (1 + x))`` with ``x = L / u``, where ``u =
     outlier_ratio / 4 (1 + n) (s + s0)``, ``s`` is the local radiance and ``n`` the samples that
@@ -60,18 +60,18 @@ def sample_weight(
         ``e``, 1 / irradiance.
     options
         The outlier ratio.
-    scratch
+    workspace
         Where the result and what leads to it lie, if given.
 
     Returns
     -------
     (h, w) float32
-        Not bounded from below, see `bound`.
+        Not bounded from below, see `clamp_fireflies`.
     """
-    scratch = scratch or Scratch()
+    workspace = workspace or Workspace()
     # in exposed units: s e = t / (1 - t); DARK is a small share of the frame's typical value
-    usual = scratch.array("usual", local.shape)
-    weight = scratch.array("weight", local.shape)
+    usual = workspace.array("usual", local.shape)
+    weight = workspace.array("weight", local.shape)
     cv2.threshold(local, 0.9999, 0, cv2.THRESH_TRUNC, dst=usual)  # a third of np.minimum's time
     usual /= np.subtract(1, usual, out=weight)
     usual += np.float32(DARK)
@@ -91,11 +91,11 @@ def sample_weight(
     return np.reciprocal(weight, out=weight)
 
 
-def bound(irradiance: np.ndarray, weight: np.ndarray, out: np.ndarray) -> np.ndarray:
+def clamp_fireflies(irradiance: np.ndarray, weight: np.ndarray, out: np.ndarray) -> np.ndarray:
     """Raise weights to `MIN_WEIGHT`, and make those samples darker in turn.
 
     A weight of next to nothing does not bound what a sample does where nothing else is known: in a
-    new pixel, or where a network takes pixels by what they show and not by what they are worth.
+    new pixel, or where a network takes pixels by what they show and not by what they weigh.
     So a sample counts as at most ``outlier_ratio / 4 (1 + n) / MIN_WEIGHT`` times its surroundings:
     160 times in a new pixel, 2,700 times where 16 samples are held. Quality on the validation
     scenes is the same for smallest weights of 1e-6 to 0.1; what one firefly of 1e6 times the rest
@@ -132,7 +132,7 @@ def accumulate(
     weight: np.ndarray,
     planes: np.ndarray,
     options: Temporal,
-    scratch: Scratch | None = None,
+    workspace: Workspace | None = None,
 ) -> None:
     """Running weighted mean of samples.
 
@@ -141,21 +141,21 @@ def accumulate(
     new : (3, h, w) float32
         Irradiance of this frame's sample.
     weight : (h, w) float32
-        What it is worth, in (0, 1].
+        Of each sample, in (0, 1].
     planes : (4, h, w) float32
         The past at these pixels: finite irradiance and, last, its samples, 0 where there is no
         past. Overwritten with the mean irradiance and the samples that it holds, at most
         ``max_samples + 1``.
-    scratch
+    workspace
         Where temporaries lie, if given.
     """
-    scratch = scratch or Scratch()
+    workspace = workspace or Workspace()
     samples = planes[3]
-    rest = scratch.array("rest", samples.shape)
+    rest = workspace.array("rest", samples.shape)
     cv2.threshold(samples, options.max_samples, 0, cv2.THRESH_TRUNC, dst=rest)
     np.add(rest, weight, out=samples)
-    share = np.divide(weight, samples, out=scratch.array("share", samples.shape))
-    # not 1 - share: a past that is worth little would lose its digits, and it may be very bright
+    share = np.divide(weight, samples, out=workspace.array("share", samples.shape))
+    # not 1 - share: a past that weighs little would lose its digits, and it may be very bright
     rest /= samples
     # mean + share (new - mean) cancels where a firefly meets a dark past; two products do not
     planes[:3] *= rest

@@ -26,75 +26,75 @@ _STRIP_PIXELS = 1 << 16  # four channels in several arrays: they should stay in 
 _WHOLE = np.float32(1 - 1e-3)  # share of the taps that lay in the frame: all, up to rounding
 
 
-def begin(divisor: np.ndarray, remembered: np.ndarray) -> None:
+def begin(albedo: np.ndarray, next_albedo: np.ndarray) -> None:
     """What a first frame leaves to the next.
 
     Parameters
     ----------
-    divisor : (h, w, 3) float32
+    albedo : (h, w, 3) float32
         Of this frame, or a mean.
-    remembered : (h, w, 4) float32
-        Written: the divisor and, last, 1.
+    next_albedo : (h, w, 4) float32
+        Written: the albedo and, last, 1.
     """
-    cv2.cvtColor(divisor, cv2.COLOR_RGB2RGBA, dst=remembered)  # alpha of float images is 1
+    cv2.cvtColor(albedo, cv2.COLOR_RGB2RGBA, dst=next_albedo)  # alpha of float images is 1
 
 
 def accumulate(
-    divisor: np.ndarray,
+    albedo: np.ndarray,
     past: np.ndarray,
     samples: float,
     positions: np.ndarray | None,
-    remembered: np.ndarray,
-    modulator: np.ndarray,
+    next_albedo: np.ndarray,
+    remodulation_albedo: np.ndarray,
     strips: Strips,
 ) -> None:
-    """Take a frame's divisor into the mean.
+    """Take a frame's albedo into the mean.
 
     Parameters
     ----------
-    divisor : (h, w, 3) float32
-        Of this frame, see `stillray.stages.demodulate.divisor`.
+    albedo : (h, w, 3) float32
+        Of this frame, see `stillray.stages.demodulate.demodulation_albedo`.
     past : (h, w, 4) float32
         What the last frame has left.
     samples
-        What the past is worth, where this frame is worth 1.
+        Frames that the past counts as, beside this one.
     positions : (h, w, 2) float32 or None
         See `stillray.stages.prepare.Prepared`. What was outside of the last frame is this
         frame's alone.
-    remembered : (h, w, 4) float32
+    next_albedo : (h, w, 4) float32
         Written: the mean and, last, 1.
-    modulator : (h, w, 3) float32
-        Written: the mean, in the range of the divisor's 3x3 pixels around; where some of those have
-        no albedo and some have, the divisor at most.
+    remodulation_albedo : (h, w, 3) float32
+        Written: the mean, in the range of the albedo's 3x3 pixels around; where some of those have
+        no albedo and some have, the albedo at most.
     strips
         Where the work runs.
     """
-    height, width = divisor.shape[:2]
+    height, width = albedo.shape[:2]
     share = samples / (samples + 1)
 
     def work(rows: slice) -> None:
-        scratch, mean = strips.scratch, modulator[rows]
+        workspace, mean = strips.workspace, remodulation_albedo[rows]
         around, inner = with_halo(rows, 1, height)
         shape = (around.stop - around.start, width, 3)
-        least, most = (scratch.array(name, shape) for name in ("least", "most"))
-        cv2.erode(divisor[around], _AROUND, dst=least)
-        cv2.dilate(divisor[around], _AROUND, dst=most)
-        now = divisor[rows]
+        least, most = (workspace.array(name, shape) for name in ("least", "most"))
+        cv2.erode(albedo[around], _AROUND, dst=least)
+        cv2.dilate(albedo[around], _AROUND, dst=most)
+        now = albedo[rows]
         taken = past[rows]
         if positions is not None:
-            taken = scratch.array("taken", (*mean.shape[:2], 4))
+            taken = workspace.array("taken", (*mean.shape[:2], 4))
             bilinear(past, positions[rows], taken)
         cv2.cvtColor(taken, cv2.COLOR_RGBA2RGB, dst=mean)
         if positions is not None:
-            inside = cv2.extractChannel(taken, 3, dst=scratch.array("inside", mean.shape[:2]))
+            inside = cv2.extractChannel(taken, 3, dst=workspace.array("inside", mean.shape[:2]))
             if inside.min() < _WHOLE:
                 outside = np.flatnonzero(inside < _WHOLE)
                 mean.reshape(-1, 3)[outside] = np.take(now.reshape(-1, 3), outside, axis=0)
         cv2.max(mean, least[inner], dst=mean)
         cv2.min(mean, most[inner], dst=mean)
         cv2.addWeighted(mean, share, now, 1 - share, 0, dst=mean)
-        begin(mean, remembered[rows])
-        total = cv2.transform(divisor[around], _SUM, dst=scratch.array("total", shape[:2]))
+        begin(mean, next_albedo[rows])
+        total = cv2.transform(albedo[around], _SUM, dst=workspace.array("total", shape[:2]))
         if total.max() < 3:
             return
         none = (total >= 3).view(np.uint8)

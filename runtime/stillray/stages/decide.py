@@ -66,7 +66,7 @@ class TemporalPlan(Plan):
     @property
     def moved(self) -> History | None:
         """The history that is brought to this frame's pixels, by motion; None where none is."""
-        return self.past if self.runs("warp") else None
+        return self.past if self.runs("reproject") else None
 
 
 def decide(
@@ -168,7 +168,7 @@ class _Facts:
         """What there will be to remember."""
         return Remembered(
             shape=self._shape,
-            divisor=self._albedo and self._spec.temporal.albedo_samples > 0,
+            mean_albedo=self._albedo and self._spec.temporal.albedo_samples > 0,
             output=self._wants.previous_output,
             layers=self._wants.layers,
         )
@@ -184,46 +184,52 @@ class _Facts:
     def of_the_past(self) -> list[Stage]:
         """What the past, and the frame after, call for."""
         return [
-            self._mirror(),
-            self._guides(),
-            Stage("warp", self._moves, self._why),
-            Stage("reject", self._moves, _REJECT if self._moves else self._why),
+            self._specular_motion(),
+            self._surface_guides(),
+            Stage("reproject", self._moves, self._why),
+            Stage("reject_history", self._moves, _REJECT if self._moves else self._why),
             Stage("accumulate", True, self._why if self._moves else f"begins anew: {self._why}"),
-            self._antialias(),
-            self._recall(),
+            self._accumulate_albedo(),
+            self._resample_output(),
         ]
 
-    def _mirror(self) -> Stage:
+    def _specular_motion(self) -> Stage:
         buffers = self._buffers
         if not self._moves or buffers.albedo is None or buffers.depth is None:
             why = "only motion, depth, albedo and a past tell what a mirror shows"
-            return Stage("mirror", False, why)
+            return Stage("specular_motion", False, why)
         found = has_mirrors(buffers.albedo, self._spec.demodulate.black)
         which = "some" if found else "no"
-        return Stage("mirror", found, f"{which} surfaces are black, as mirrors and glass are")
+        return Stage(
+            "specular_motion", found, f"{which} surfaces are black, as mirrors and glass are"
+        )
 
-    def _guides(self) -> Stage:
+    def _surface_guides(self) -> Stage:
         if not self._wants.temporal:
-            return Stage("guides", False, self._why)
+            return Stage("surface_guides", False, self._why)
         why = (
             "normal or depth tell surfaces apart" if self._geometry else "no normal or depth given"
         )
-        return Stage("guides", self._geometry, why)
+        return Stage("surface_guides", self._geometry, why)
 
-    def _antialias(self) -> Stage:
+    def _accumulate_albedo(self) -> Stage:
         if self._spec.temporal.albedo_samples <= 0:
-            return Stage("antialias", False, "the model smooths edges otherwise")
+            return Stage("accumulate_albedo", False, "the model smooths edges otherwise")
         if not self._moves or not self._albedo:
-            return Stage("antialias", False, self._why if self._albedo else "no albedo given")
-        held = self._past is not None and self._past.divisor
+            return Stage(
+                "accumulate_albedo", False, self._why if self._albedo else "no albedo given"
+            )
+        held = self._past is not None and self._past.mean_albedo
         return Stage(
-            "antialias", held, "albedo is given" if held else "the last frame had no albedo"
+            "accumulate_albedo", held, "albedo is given" if held else "the last frame had no albedo"
         )
 
-    def _recall(self) -> Stage:
+    def _resample_output(self) -> Stage:
         if not self._wants.previous_output:
-            return Stage("recall", False, "the model does not look at its last output")
+            return Stage("resample_output", False, "the model does not look at its last output")
         if not self._moves:
-            return Stage("recall", False, self._why)
+            return Stage("resample_output", False, self._why)
         held = self._past is not None and self._past.output
-        return Stage("recall", held, self._why if held else "the last frame has left no output")
+        return Stage(
+            "resample_output", held, self._why if held else "the last frame has left no output"
+        )

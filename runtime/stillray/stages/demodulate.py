@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.model_spec.loader import Demodulate
 
 _BELOW_ZERO = (-1.0, -1.0, -1.0)
@@ -13,11 +13,11 @@ _SUM = np.ones((1, 3), np.float32)
 _SURE = 4  # three channels at the black level sum to 3 times it, up to rounding
 
 
-def divisor(
+def demodulation_albedo(
     albedo: np.ndarray,
     options: Demodulate,
     out: np.ndarray | None = None,
-    scratch: Scratch | None = None,
+    workspace: Workspace | None = None,
 ) -> np.ndarray:
     """What radiance is divided by; and multiplied by again at the end, or by its mean over frames.
 
@@ -34,19 +34,19 @@ def divisor(
         The floor and the black level.
     out : (h, w, 3) float32, optional
         Written and returned.
-    scratch
+    workspace
         Where temporaries lie, if given.
 
     Returns
     -------
     (h, w, 3) float32
-        In [floor, 1]. ``radiance / divisor * divisor`` gives the radiance back to rounding.
+        In [floor, 1]. Radiance divided and multiplied by it is the radiance, up to rounding.
     """
     raised: np.ndarray = np.clip(albedo, np.float32(options.floor), np.float32(1), out=out)
     # finding black pixels is dear: not where a quick look says that there are none
     if cv2.transform(albedo, _SUM).min() <= _SURE * options.black:
         black = cv2.inRange(albedo, _BELOW_ZERO, (options.black,) * 3)
-        ones = (scratch or Scratch()).array("ones", albedo.shape)
+        ones = (workspace or Workspace()).array("ones", albedo.shape)
         ones.fill(1)
         cv2.copyTo(ones, black, raised)
     return raised

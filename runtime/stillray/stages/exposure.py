@@ -9,7 +9,7 @@ import numpy as np
 from stillray.arrays.strips import with_halo
 from stillray.stages import features
 from stillray.stages.decide import TemporalPlan
-from stillray.stages.demodulate import divisor
+from stillray.stages.demodulate import demodulation_albedo
 from stillray.stages.means import Means
 from stillray.timing import timed
 
@@ -20,7 +20,7 @@ class Exposed:
 
     Attributes
     ----------
-    divisor : (h, w, 3) float32 or None
+    demodulation_albedo : (h, w, 3) float32 or None
         What radiance is divided by; None where there is no albedo.
     luminance : (h, w) float32
         Luminance of irradiance.
@@ -34,7 +34,7 @@ class Exposed:
         Scale of the depth feature.
     """
 
-    divisor: np.ndarray | None
+    demodulation_albedo: np.ndarray | None
     luminance: np.ndarray
     local: np.ndarray
     exposure: float
@@ -54,7 +54,7 @@ def expose(plan: TemporalPlan, means: Means) -> Exposed:
         local_luminance(luminance, exposure, local, means)
         depth_unit = 1.0 if depth is None else features.depth_scale(depth)
     return Exposed(
-        divisor=by,
+        demodulation_albedo=by,
         luminance=luminance,
         local=local,
         exposure=exposure,
@@ -77,7 +77,7 @@ def local_luminance(luminance: np.ndarray, exposure: float, out: np.ndarray, mea
 
     def work(rows: slice) -> None:
         near, own = with_halo(rows, options.local_size // 2, height)
-        toned = strips.scratch.array("toned", luminance[near].shape)
+        toned = strips.workspace.array("toned", luminance[near].shape)
         features.tone_map(luminance[near], exposure, out=toned)
         out[rows] = features.local_luminance(toned, options)[own]
 
@@ -89,13 +89,13 @@ def _demodulated(plan: TemporalPlan, means: Means) -> tuple[np.ndarray | None, n
     color, albedo = plan.buffers.color, plan.buffers.albedo
     strips, workspace = means.strips, means.workspace
     luminance = workspace.array("luminance", plan.shape)
-    by = None if albedo is None else workspace.array("divisor", color.shape)
+    by = None if albedo is None else workspace.array("demodulation_albedo", color.shape)
 
     def work(rows: slice) -> None:
         irradiance = color[rows]
         if albedo is not None and by is not None:
-            divisor(albedo[rows], means.spec.demodulate, by[rows], strips.scratch)
-            out = strips.scratch.array("irradiance", irradiance.shape)
+            demodulation_albedo(albedo[rows], means.spec.demodulate, by[rows], strips.workspace)
+            out = strips.workspace.array("irradiance", irradiance.shape)
             irradiance = np.divide(irradiance, by[rows], out=out)
         features.luminance(irradiance, out=luminance[rows])
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.strips import planes_of
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.model_spec.loader import Temporal, Transfer
 
 _REC709 = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
@@ -116,7 +116,7 @@ def feature_planes(
     depth_unit: float,
     frame_samples: float | np.ndarray = 1.0,
     out: np.ndarray,
-    scratch: Scratch | None = None,
+    workspace: Workspace | None = None,
 ) -> None:
     """Fill the planes that a network asks for.
 
@@ -142,12 +142,12 @@ def feature_planes(
         Samples a pixel of a frame, > 0; 1 where nobody said.
     out : (len(features), h, w) float32
         Written: values in [0, 1] ([-1, 1] for normals).
-    scratch
+    workspace
         Where temporaries lie, if given.
     """
-    scratch = scratch or Scratch()
+    workspace = workspace or Workspace()
     plane = dict(zip(features, out, strict=True))
-    *irradiance, samples = planes_of(mean, out=scratch.array("mean", (4, *local.shape)))
+    *irradiance, samples = planes_of(mean, out=workspace.array("mean", (4, *local.shape)))
     for name, light in zip("rgb", irradiance, strict=True):
         if (target := plane.get(f"irradiance.{name}")) is not None:
             # the square root opens the dark end of [0, 1], as a display gamma does
@@ -183,12 +183,12 @@ def feature_planes(
 
 def previous_planes(
     previous: np.ndarray | None,
-    divisor: np.ndarray | None,
+    remodulation_albedo: np.ndarray | None,
     exposure: float,
     features: Sequence[str],
     *,
     out: np.ndarray,
-    scratch: Scratch | None = None,
+    workspace: Workspace | None = None,
 ) -> None:
     """Fill the planes of the previous output, for networks that ask for them.
 
@@ -197,7 +197,7 @@ def previous_planes(
     previous : (h, w, 4) float32 or None
         Radiance of the previous output at these pixels and, last, how much of it is valid; None
         where there is no past: zeros.
-    divisor : (h, w, 3) float32 or None
+    remodulation_albedo : (h, w, 3) float32 or None
         What radiance is divided by, so that the output compares with the irradiance.
     exposure
         1 / irradiance.
@@ -205,11 +205,11 @@ def previous_planes(
         Names of the planes.
     out : (len(features), h, w) float32
         Written: values in [0, 1].
-    scratch
+    workspace
         Where temporaries lie, if given.
     """
     plane = dict(zip(features, out, strict=True))
-    scratch = scratch or Scratch()
+    workspace = workspace or Workspace()
     if previous is None:
         for name in (*_PREVIOUS, _PREVIOUS_LUMINANCE, _PREVIOUS_VALID):
             if name in plane:
@@ -219,15 +219,15 @@ def previous_planes(
         cv2.extractChannel(previous, 3, dst=target)
     if (target := plane.get(_PREVIOUS_LUMINANCE)) is not None:
         light = luminance(previous, out=target)
-        if divisor is not None:
-            by = luminance(divisor, out=scratch.array("light", light.shape))
+        if remodulation_albedo is not None:
+            by = luminance(remodulation_albedo, out=workspace.array("light", light.shape))
             light = np.divide(light, by, out=target)
         np.sqrt(tone_map(light, exposure, out=target), out=target)
     if any(name in plane for name in _PREVIOUS):
-        planes = planes_of(previous, out=scratch.array("previous", (4, *previous.shape[:2])))
+        planes = planes_of(previous, out=workspace.array("previous", (4, *previous.shape[:2])))
         for channel, name in enumerate(_PREVIOUS):
             if (target := plane.get(name)) is not None:
                 light = planes[channel]
-                if divisor is not None:
-                    light = np.divide(light, divisor[..., channel], out=target)
+                if remodulation_albedo is not None:
+                    light = np.divide(light, remodulation_albedo[..., channel], out=target)
                 np.sqrt(tone_map(light, exposure, out=target), out=target)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.stages.accumulate import DARK, MIN_WEIGHT
 from stillray.stages.features import luminance_of_planes
 
@@ -64,7 +64,7 @@ def compare(
     past: np.ndarray,
     exposure: float,
     out: np.ndarray,
-    scratch: Scratch,
+    workspace: Workspace,
 ) -> None:
     """Reduce the difference between a frame's samples and its past to blocks of 2x2 pixels.
 
@@ -87,12 +87,12 @@ def compare(
         Means over blocks of ``a``, ``a d``, ``a x`` where ``x`` is the exposed light, and ``a``
         times the variance of a sample, by the covariance of ``d`` and ``x`` within the block: what
         is lit unevenly and stays so is in ``x`` and not in ``d``.
-    scratch
+    workspace
         Where temporaries lie.
     """
     shape = light.shape
     even = (shape[0] + shape[0] % 2, shape[1] + shape[1] % 2)
-    planes = scratch.array("compared", (5, *even))
+    planes = workspace.array("compared", (5, *even))
     if even != shape:
         planes.fill(0)
     counted, difference, shown = planes[:3, : shape[0], : shape[1]]
@@ -100,7 +100,7 @@ def compare(
     scale = np.float32(exposure)
     with np.errstate(over="ignore"):
         np.multiply(light, scale, out=shown)
-        if weight.min() < MIN_WEIGHT:  # as `stillray.stages.accumulate.bound` does
+        if weight.min() < MIN_WEIGHT:  # as `stillray.stages.accumulate.clamp_fireflies` does
             shown *= np.minimum(weight, MIN_WEIGHT, out=temporary) / np.float32(MIN_WEIGHT)
         before = luminance_of_planes(past, out=difference)
         before *= scale
@@ -128,7 +128,7 @@ def compare(
     planes[2] *= planes[0]
     reduced(planes[2], lit)
     # a E[d x] - (a d) (a x) / a
-    blocks = scratch.array("blocks", lit.shape)
+    blocks = workspace.array("blocks", lit.shape)
     np.maximum(held, _LEAST_WEIGHT, out=blocks)
     np.divide(lit, blocks, out=blocks)
     blocks *= apart
@@ -144,7 +144,7 @@ def confidence(
     The bias is found by shrinkage from coarse windows to fine ones: a window's difference corrects
     what coarser windows found by ``r (1 - (k s / r)^2)+`` where ``r`` is what it differs from that
     by, ``s`` its standard error and ``k`` the threshold (the non-negative garrote, Gao 1998). A
-    past of ``n`` samples of variance ``v`` and bias ``b`` is worth no more than
+    past of ``n`` samples of variance ``v`` and bias ``b`` knows no more than
     ``n / (1 + n m b^2 / v)`` samples without one, if ``m`` pixels are averaged: the share of ``n``
     that this leaves is the confidence.
 
@@ -162,7 +162,7 @@ def confidence(
     Returns
     -------
     confidence : (h, w) float32 or None
-        In [0, 1]; None where all of the past is worth what it was.
+        In [0, 1]; None where all of the past holds.
     noise
         For the next frame.
     """
@@ -188,7 +188,7 @@ def confidence(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Window:
-    """What windows say: samples that they are worth, difference, light and variance of a sample."""
+    """What windows say: samples that they count as, difference, light and variance of a sample."""
 
     samples: np.ndarray
     difference: np.ndarray

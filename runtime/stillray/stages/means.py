@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from stillray.arrays.strips import Strips
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.model_spec.loader import ModelSpec
 from stillray.stages.state import History
 
@@ -24,18 +24,18 @@ class Means:
         Stage name to milliseconds, filled in.
     workspace
         Where results lie, all but the history, until the next frame with the same.
-    spare
+    back_buffer
         A history that nobody needs any more, whose arrays may be overwritten.
     """
 
     spec: ModelSpec
     strips: Strips
     timings: dict[str, float] = field(default_factory=dict)
-    workspace: Scratch = field(default_factory=Scratch)
-    spare: History | None = None
+    workspace: Workspace = field(default_factory=Workspace)
+    back_buffer: History | None = None
 
-    def spare_for(self, shape: tuple[int, int]) -> History | None:
-        """The spare history, if it is of a frame of that size."""
-        if self.spare is None or self.spare.mean.shape[:2] != shape:
+    def back_buffer_for(self, shape: tuple[int, int]) -> History | None:
+        """The back buffer, if it is of a frame of that size."""
+        if self.back_buffer is None or self.back_buffer.mean.shape[:2] != shape:
             return None
-        return self.spare
+        return self.back_buffer

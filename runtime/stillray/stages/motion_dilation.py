@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.strips import pixels_of, with_halo
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 
 _NEARER = np.float32(0.98)  # share of a pixel's depth below which a neighbour hides it
 _FAR = np.float32(1e30)  # depth of background
@@ -17,8 +17,8 @@ _PLACE, _COLUMN = 15, 3
 _STEP = np.array([1, -1, 0, 1, -1], np.intp)  # to a neighbour, by the difference of both + 2
 
 
-def follow_nearer(
-    positions: np.ndarray, motion: np.ndarray, depth: np.ndarray, rows: slice, scratch: Scratch
+def dilate_motion(
+    positions: np.ndarray, motion: np.ndarray, depth: np.ndarray, rows: slice, workspace: Workspace
 ) -> None:
     """At silhouettes, let a picture come from where the nearer surface was.
 
@@ -37,13 +37,13 @@ def follow_nearer(
         Of the whole frame; 0 where nothing was hit.
     rows
         Which rows of the frame they are.
-    scratch
+    workspace
         Where temporaries lie.
     """
     height, width = depth.shape
     near, inner = with_halo(rows, 1, height)
-    around = scratch.array("around", depth[near].shape)
-    nearest = scratch.array("nearest", around.shape)
+    around = workspace.array("around", depth[near].shape)
+    nearest = workspace.array("nearest", around.shape)
     np.copyto(around, depth[near])
     if around.min() <= 0:
         around[around <= 0] = _FAR

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.strips import STRIP_PIXELS, Strips, interleave, planes_of
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
 from stillray.stages import accumulate as acc
@@ -18,13 +18,13 @@ from stillray.stages import reproject as rep
 from stillray.stages.decide import TemporalPlan, Wants, decide
 from stillray.stages.exposure import Exposed, expose, expose_anew, local_luminance
 from stillray.stages.means import Means
-from stillray.stages.motion_dilation import follow_nearer
+from stillray.stages.motion_dilation import dilate_motion
 from stillray.stages.repair import Buffers
 from stillray.stages.sample_counts import SampleCounts
 from stillray.stages.state import History, Prepared
 from stillray.timing import timed, timed_pass
 
-_RELIT = 0.5  # share of the past that is kept, below which the exposure begins anew
+_LEAST_KEPT = 0.5  # share of the past that is kept, below which the exposure begins anew
 
 
 def prepare(
@@ -63,28 +63,30 @@ def prepare_planned(plan: TemporalPlan, means: Means) -> Prepared:
     if pixels.accumulated is not None:
         with timed(means.timings, "accumulate"):
             local_luminance(pixels.accumulated, exposed.exposure, exposed.local, means)
-    modulator, remembered, samples = _albedo_history(plan, exposed, pixels.positions, means)
+    remodulation_albedo, mean_albedo, frames = _albedo_history(
+        plan, exposed, pixels.positions, means
+    )
     return Prepared(
         history=History(
             mean=pixels.mean,
-            guides=pixels.guides,
+            surface_guides=pixels.surface_guides,
             exposure=exposed.exposure,
             noise=pixels.noise,
-            divisor=remembered,
-            divisor_samples=samples,
+            mean_albedo=mean_albedo,
+            mean_albedo_frames=frames,
             frame_samples=pixels.counts.mean,
         ),
         sample=pixels.sample,
         luminance=exposed.luminance,
-        divisor=exposed.divisor,
-        modulator=modulator,
+        demodulation_albedo=exposed.demodulation_albedo,
+        remodulation_albedo=remodulation_albedo,
         local=exposed.local,
         albedo=buffers.albedo,
         normal=buffers.normal,
         depth=buffers.depth,
         depth_unit=exposed.depth_unit,
         motion=buffers.motion,
-        picture_positions=pixels.positions if pixels.looks_back else None,
+        picture_positions=pixels.positions if pixels.follows_picture else None,
         disoccluded=pixels.disoccluded,
         history_confidence=pixels.confidence,
         counts=pixels.counts,
@@ -93,13 +95,13 @@ def prepare_planned(plan: TemporalPlan, means: Means) -> Prepared:
 
 def _with_specular_motion(plan: TemporalPlan, exposed: Exposed, means: Means) -> Buffers:
     buffers = plan.buffers
-    if not plan.runs("mirror") or plan.past is None:
+    if not plan.runs("specular_motion") or plan.past is None:
         return buffers
     assert buffers.motion is not None
     assert buffers.depth is not None
     assert buffers.albedo is not None
-    with timed(means.timings, "mirror"):
-        motion = specular_motion.follow_reflections(
+    with timed(means.timings, "specular_motion"):
+        motion = specular_motion.virtual_motion(
             buffers.motion,
             buffers.depth,
             buffers.albedo,
@@ -119,7 +121,7 @@ class _Pixels:
     ----------
     mean : (h, w, 4) float32
         Accumulated irradiance and samples.
-    guides : (h, w, 4) float32 or None
+    surface_guides : (h, w, 4) float32 or None
         This frame's geometry, for the next.
     sample : (4, h, w) float32 or None
         This frame's irradiance and what its samples weigh.
@@ -129,7 +131,7 @@ class _Pixels:
         Luminance of ``mean``, where the network asks for what is usual in it.
     positions : (h, w, 2) float32 or None
         Where pixels were, if anything moves.
-    looks_back
+    follows_picture
         Whether anybody looks at pictures of the past there.
     exposed
         The frame's light, of which the exposure begins anew where most of the past is let go.
@@ -145,7 +147,11 @@ class _Pixels:
         self, plan: TemporalPlan, buffers: Buffers, exposed: Exposed, means: Means
     ) -> None:
         self._plan, self._buffers, self.exposed, self._means = plan, buffers, exposed, means
-        shape, workspace, spare = plan.shape, means.workspace, means.spare_for(plan.shape)
+        shape, workspace, back_buffer = (
+            plan.shape,
+            means.workspace,
+            means.back_buffer_for(plan.shape),
+        )
         wants, moved = plan.wants, plan.moved
         before = None if plan.past is None else plan.past.frame_samples
         self.counts = SampleCounts.of(buffers.samples, before)
@@ -153,18 +159,18 @@ class _Pixels:
         def room(name: str, *more: int, dtype: type = np.float32) -> np.ndarray:
             return workspace.array(name, (*more, *shape), dtype)
 
-        self.guides: np.ndarray | None = None
-        if plan.runs("guides"):
-            self.guides = None if spare is None else spare.guides
-            if self.guides is None:
-                self.guides = np.empty((*shape, 4), np.float32)
-        self.mean = np.empty((*shape, 4), np.float32) if spare is None else spare.mean
+        self.surface_guides: np.ndarray | None = None
+        if plan.runs("surface_guides"):
+            self.surface_guides = None if back_buffer is None else back_buffer.surface_guides
+            if self.surface_guides is None:
+                self.surface_guides = np.empty((*shape, 4), np.float32)
+        self.mean = np.empty((*shape, 4), np.float32) if back_buffer is None else back_buffer.mean
         self.sample = room("sample", 4) if wants.sample and moved else None
         looks = moved is not None and wants.previous_output
         self.disoccluded = room("disoccluded", dtype=np.uint8) if looks else None
         wants_local = moved is not None and "local_luminance" in means.spec.network.features
         self.accumulated = room("accumulated") if wants_local else None
-        self.looks_back = wants.previous_output or plan.runs("antialias")
+        self.follows_picture = wants.previous_output or plan.runs("accumulate_albedo")
         self.confidence: np.ndarray | None = None
         self.noise: history_rejection.Noise | None = None
         self._blocks: np.ndarray | None = None
@@ -176,11 +182,13 @@ class _Pixels:
         self.positions: np.ndarray | None = None
         self._discontinuous: np.ndarray | None = None
         if moved is not None and buffers.motion is not None:
-            with timed(means.timings, "warp"):
+            with timed(means.timings, "reproject"):
                 if buffers.motion.any():
                     self.positions = workspace.array("positions", buffers.motion.shape)
-                    if self.guides is not None and moved.guides is not None:
-                        self._discontinuous = discontinuities(moved.guides, means.strips, workspace)
+                    if self.surface_guides is not None and moved.surface_guides is not None:
+                        self._discontinuous = discontinuities(
+                            moved.surface_guides, means.strips, workspace
+                        )
 
     def run(self) -> None:
         """Fill the arrays."""
@@ -209,28 +217,28 @@ class _Pixels:
     def _look_back(self) -> None:
         """Geometry, the past at these pixels, and its difference from this frame's samples."""
         past = self._plan.moved
-        if self.guides is None and past is None:
+        if self.surface_guides is None and past is None:
             return
         with timed_pass(self._means.timings) as part:
 
             def work(rows: slice) -> None:
                 now: np.ndarray | None = None
-                if self.guides is not None:
-                    with part("guides"):
-                        now = self._geometry(rows, self.guides[rows])
+                if self.surface_guides is not None:
+                    with part("surface_guides"):
+                        now = self._geometry(rows, self.surface_guides[rows])
                 if past is not None:
-                    with part("warp"):
+                    with part("reproject"):
                         before = self._past_of(rows)
                         assert before is not None
                         planes_of(self._reproject(rows, past, now), out=before)
                         self.counts.held_by_pixel(before[3], rows)
-                    with part("reject"):
+                    with part("reject_history"):
                         self._compare(rows)
 
             self._run(work)
 
     def _compare(self, rows: slice) -> None:
-        exposed, scratch, past = self.exposed, self._means.strips.scratch, self._past_of(rows)
+        exposed, workspace, past = self.exposed, self._means.strips.workspace, self._past_of(rows)
         assert past is not None
         assert self._blocks is not None
         weight = self._sample_weight(rows, past[3])
@@ -242,7 +250,7 @@ class _Pixels:
             past,
             exposed.exposure,
             self._blocks[:, rows.start // 2 : -(-rows.stop // 2)],
-            scratch,
+            workspace,
         )
 
     def _reject(self) -> None:
@@ -250,7 +258,7 @@ class _Pixels:
         past, motion = self._plan.moved, self._buffers.motion
         if past is None or self._blocks is None or motion is None:
             return
-        with timed(self._means.timings, "reject"):
+        with timed(self._means.timings, "reject_history"):
             noise = past.noise
             if noise is not None and self.counts.past_scale != 1:  # as of frames like this one
                 variance = noise.variance * np.float32(self.counts.past_scale)
@@ -260,21 +268,21 @@ class _Pixels:
             )
         kept = 1.0 if self.confidence is None else cv2.mean(self.confidence)[0]
         kept *= cv2.countNonZero(self._blocks[0]) / self._blocks[0].size  # 0 without a past
-        if kept < _RELIT:
+        if kept < _LEAST_KEPT:
             self.exposed = expose_anew(self.exposed, self._means)
 
     def _geometry(self, rows: slice, out: np.ndarray) -> np.ndarray:
         normal, depth = self._buffers.normal, self._buffers.depth
-        now = rep.guide_planes(
+        now = rep.surface_guide_planes(
             None if normal is None else normal[rows],
             None if depth is None else depth[rows],
-            self._means.strips.scratch,
+            self._means.strips.workspace,
         )
         interleave(now, out=out)
         return now
 
     def _reproject(self, rows: slice, past: History, now: np.ndarray | None) -> np.ndarray:
-        motion, scratch = self._buffers.motion, self._means.strips.scratch
+        motion, workspace = self._buffers.motion, self._means.strips.workspace
         assert motion is not None
         at: np.ndarray | None = None
         if self.positions is not None:
@@ -283,20 +291,20 @@ class _Pixels:
         follows = at if motion[rows].any() else None
         warped = rep.reproject(
             past.mean,
-            past.guides,
+            past.surface_guides,
             self._discontinuous,
             now,
             follows,
             rows,
             self._means.spec.temporal,
-            scratch,
+            workspace,
         )
-        if at is not None and self.looks_back and self._buffers.depth is not None:
-            follow_nearer(at, motion, self._buffers.depth, rows, scratch)
+        if at is not None and self.follows_picture and self._buffers.depth is not None:
+            dilate_motion(at, motion, self._buffers.depth, rows, workspace)
         return warped
 
     def _accumulate(self, rows: slice) -> None:
-        options, scratch = self._means.spec.temporal, self._means.strips.scratch
+        options, workspace = self._means.spec.temporal, self._means.strips.workspace
         planes = self._past_of(rows)
         if planes is not None and self.confidence is not None:
             planes[3] *= self.confidence[rows]
@@ -306,13 +314,13 @@ class _Pixels:
             cv2.merge([irradiance, weight], dst=self.mean[rows])
             return
         if self.sample is None:
-            new = scratch.array("new", (3, *weight.shape))
+            new = workspace.array("new", (3, *weight.shape))
         else:
             new = self.sample[:3, rows]
             np.copyto(self.sample[3, rows], weight)
             self.counts.by_frame(self.sample[3, rows], rows)
         planes_of(irradiance, out=new)
-        acc.accumulate(new, weight, planes, options, scratch)
+        acc.accumulate(new, weight, planes, options, workspace)
         if self.disoccluded is not None:
             np.less_equal(planes[3], weight, out=self.disoccluded[rows].view(bool))
         self.counts.by_frame(planes[3], rows)
@@ -322,13 +330,13 @@ class _Pixels:
 
     def _weighed(self, rows: slice, held: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Irradiance, bounded, and what it weighs beside the samples that are held."""
-        exposed, buffers, scratch = self.exposed, self._buffers, self._means.strips.scratch
+        exposed, buffers, workspace = self.exposed, self._buffers, self._means.strips.workspace
         weight = self._sample_weight(rows, held)
         irradiance = buffers.color[rows]
-        own = scratch.array("irradiance", irradiance.shape)
-        if exposed.divisor is not None:
-            irradiance = np.divide(irradiance, exposed.divisor[rows], out=own)
-        irradiance = acc.bound(irradiance, weight, own)
+        own = workspace.array("irradiance", irradiance.shape)
+        if exposed.demodulation_albedo is not None:
+            irradiance = np.divide(irradiance, exposed.demodulation_albedo[rows], out=own)
+        irradiance = acc.clamp_fireflies(irradiance, weight, own)
         if buffers.broken is not None:
             weight[buffers.broken[rows]] = acc.FILLED_WEIGHT
         return irradiance, weight
@@ -341,17 +349,17 @@ class _Pixels:
             held,
             exposed.exposure,
             self._means.spec.temporal,
-            self._means.strips.scratch,
+            self._means.strips.workspace,
         )
 
 
-def discontinuities(packed: np.ndarray, strips: Strips, workspace: Scratch) -> np.ndarray:
-    """`reproject.rough_blocks` of a whole frame's guides; lies in the workspace."""
+def discontinuities(packed: np.ndarray, strips: Strips, workspace: Workspace) -> np.ndarray:
+    """`reproject.mark_discontinuities` of a whole frame's surface_guides; lies in the workspace."""
     height, width = packed.shape[:2]
     mask = workspace.array("discontinuities", (height + 1, width + 1), np.uint8)
 
     def work(rows: slice) -> None:
-        rep.rough_blocks(packed, rows, mask, strips.scratch)
+        rep.mark_discontinuities(packed, rows, mask, strips.workspace)
 
     strips.run(work, height, width)
     return mask
@@ -360,21 +368,27 @@ def discontinuities(packed: np.ndarray, strips: Strips, workspace: Scratch) -> n
 def _albedo_history(
     plan: TemporalPlan, exposed: Exposed, positions: np.ndarray | None, means: Means
 ) -> tuple[np.ndarray | None, np.ndarray | None, float]:
-    """What the result is multiplied by, what is remembered of it, and the frames that it holds."""
-    now, options = exposed.divisor, means.spec.temporal
+    """What the result is multiplied by, what the next frame gets of it, and of how many frames."""
+    now, options = exposed.demodulation_albedo, means.spec.temporal
     if now is None or not plan.wants.temporal or options.albedo_samples <= 0:
         return now, None, 0.0
-    spare = means.spare_for(plan.shape)
-    remembered = None if spare is None else spare.divisor
-    if remembered is None:
-        remembered = np.empty((*plan.shape, 4), np.float32)
-    if not plan.runs("antialias") or plan.past is None or plan.past.divisor is None:
-        albedo_history.begin(now, remembered)
-        return now, remembered, 1.0
-    with timed(means.timings, "antialias"):
-        samples = min(plan.past.divisor_samples, options.albedo_samples)
-        modulator = means.workspace.array("modulator", now.shape)
+    back_buffer = means.back_buffer_for(plan.shape)
+    next_albedo = None if back_buffer is None else back_buffer.mean_albedo
+    if next_albedo is None:
+        next_albedo = np.empty((*plan.shape, 4), np.float32)
+    if not plan.runs("accumulate_albedo") or plan.past is None or plan.past.mean_albedo is None:
+        albedo_history.begin(now, next_albedo)
+        return now, next_albedo, 1.0
+    with timed(means.timings, "accumulate_albedo"):
+        samples = min(plan.past.mean_albedo_frames, options.albedo_samples)
+        remodulation_albedo = means.workspace.array("remodulation_albedo", now.shape)
         albedo_history.accumulate(
-            now, plan.past.divisor, samples, positions, remembered, modulator, means.strips
+            now,
+            plan.past.mean_albedo,
+            samples,
+            positions,
+            next_albedo,
+            remodulation_albedo,
+            means.strips,
         )
-    return modulator, remembered, samples + 1
+    return remodulation_albedo, next_albedo, samples + 1

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.strips import Strips, pixels_of
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.stages import features as encode
 from stillray.stages.reproject import bilinear
 from stillray.stages.state import History, Prepared
@@ -24,28 +24,28 @@ _DARK, _MOST = np.float32(1e-30), np.float32(4096)
 _STEEP = np.float32(2)
 
 
-def recalled(
+def resampled(
     history: History,
     prepared: Prepared,
     strips: Strips,
-    workspace: Scratch | None = None,
+    workspace: Workspace | None = None,
     *,
     sharp: bool,
 ) -> np.ndarray | None:
     """The previous output at a prepared frame's pixels, or None where there is none.
 
     It lies in the workspace if that is given, or in the history where nothing moves; ``sharp`` as
-    for `recall`.
+    for `resample`.
     """
     if history.output is None:
         return None
-    out = None if workspace is None else workspace.array("recalled", history.output.shape)
-    past = recall(history.output, prepared.picture_positions, strips, out, sharp=sharp)
+    out = None if workspace is None else workspace.array("resampled", history.output.shape)
+    past = resample(history.output, prepared.picture_positions, strips, out, sharp=sharp)
     return forget_uncovered(past, history.output, prepared)
 
 
 def forget_uncovered(past: np.ndarray, output: np.ndarray, prepared: Prepared) -> np.ndarray:
-    """The recalled output without what the frame has just uncovered: zeros there.
+    """The resampled output without what the frame has just uncovered: zeros there.
 
     Where no tap of the history was accepted, nor around, the surface was not seen before, and what
     the last output shows there is another one. Thin lines of such pixels are edges of surfaces,
@@ -55,7 +55,7 @@ def forget_uncovered(past: np.ndarray, output: np.ndarray, prepared: Prepared) -
     Parameters
     ----------
     past : (h, w, 4) float32
-        What `recall` gave; written and returned, but where it is ``output`` itself a copy is.
+        What `resample` gave; written and returned, but where it is ``output`` itself a copy is.
     output : (h, w, 4) float32
         The last output, which belongs to the history; not changed.
     prepared
@@ -79,13 +79,13 @@ def forget_uncovered(past: np.ndarray, output: np.ndarray, prepared: Prepared) -
     return past
 
 
-def remember(image: np.ndarray, strips: Strips, spare: History | None = None) -> np.ndarray:
+def keep(image: np.ndarray, strips: Strips, back_buffer: History | None = None) -> np.ndarray:
     """An output as the next frame wants it: ``(h, w, 4)``, a copy, with 1 for "valid" last.
 
     It lies in the arrays of a history that nobody needs any more, if one is given.
     """
     height, width = image.shape[:2]
-    out = None if spare is None else spare.output
+    out = None if back_buffer is None else back_buffer.output
     if out is None or out.shape[:2] != image.shape[:2]:
         out = np.empty((height, width, 4), np.float32)
     kept = out
@@ -98,7 +98,7 @@ def remember(image: np.ndarray, strips: Strips, spare: History | None = None) ->
     return out
 
 
-def recall(
+def resample(
     output: np.ndarray,
     positions: np.ndarray | None,
     strips: Strips,
@@ -114,7 +114,7 @@ def recall(
     Parameters
     ----------
     output : (h, w, 4) float32
-        See `remember`.
+        See `keep`.
     positions : (h, w, 2) float32 or None
         x and y, pixels, finite, see `stillray.stages.prepare.Prepared`; None where nothing moves.
     strips
@@ -138,17 +138,17 @@ def recall(
     light = _Luminance(output, strips) if sharp else None
 
     def work(rows: slice) -> None:
-        taken, scratch = past[rows], strips.scratch
-        valid = _mean_of_taps(output, positions[rows], taken, scratch)
+        taken, workspace = past[rows], strips.workspace
+        valid = _mean_of_taps(output, positions[rows], taken, workspace)
         if light is not None:
-            factor = light.sharpening(positions[rows], taken, valid, scratch)
-            _scale(taken, factor, scratch)
+            factor = light.sharpening(positions[rows], taken, valid, workspace)
+            _scale(taken, factor, workspace)
 
     strips.run(work, *positions.shape[:2])
     return past
 
 
-def recall_of_layers(
+def layer_resampler(
     output: np.ndarray, positions: np.ndarray | None, strips: Strips, *, sharp: bool
 ) -> Callable[[np.ndarray], np.ndarray]:
     """How the previous outputs of layers are brought to the current pixels.
@@ -158,29 +158,29 @@ def recall_of_layers(
     Parameters
     ----------
     output, positions, strips, sharp
-        As for `recall`, of the beauty.
+        As for `resample`, of the beauty.
 
     Returns
     -------
     Callable
-        From a layer's previous output, see `remember`, to what `recall` gives.
+        From a layer's previous output, see `keep`, to what `resample` gives.
     """
     if positions is None or not sharp:
-        return lambda layer: recall(layer, positions, strips)
+        return lambda layer: resample(layer, positions, strips)
     height, width = positions.shape[:2]
     light, factor = _Luminance(output, strips), np.empty((height, width), np.float32)
 
     def sharpening(rows: slice) -> None:
-        scratch = strips.scratch
-        taken = scratch.array("taken", (*factor[rows].shape, 4))
-        valid = _mean_of_taps(output, positions[rows], taken, scratch)
-        factor[rows] = light.sharpening(positions[rows], taken, valid, scratch)
+        workspace = strips.workspace
+        taken = workspace.array("taken", (*factor[rows].shape, 4))
+        valid = _mean_of_taps(output, positions[rows], taken, workspace)
+        factor[rows] = light.sharpening(positions[rows], taken, valid, workspace)
 
     strips.run(sharpening, height, width)
 
     def follow(layer: np.ndarray) -> np.ndarray:
-        past = recall(layer, positions, strips)
-        _scale(past, factor, strips.scratch)
+        past = resample(layer, positions, strips)
+        _scale(past, factor, strips.workspace)
         return past
 
     return follow
@@ -189,21 +189,21 @@ def recall_of_layers(
 class _Luminance:
     """An output's luminance, and the range of each 2x2 pixels from the top left one.
 
-    Lies in the calling thread's scratch arrays until the next one is made.
+    Lies in the calling thread's workspace arrays until the next one is made.
     """
 
     def __init__(self, output: np.ndarray, strips: Strips) -> None:
         height, width = output.shape[:2]
-        scratch = strips.scratch
+        workspace = strips.workspace
         self._values, self._least, self._most = (
-            scratch.array(f"luminance, {name}", (height, width))
+            workspace.array(f"luminance, {name}", (height, width))
             for name in ("values", "least", "most")
         )
 
         def work(rows: slice) -> None:
             below = slice(rows.start, min(rows.stop + 1, height))
             shape = output[below].shape[:2]
-            values = encode.luminance(output[below], out=strips.scratch.array("values", shape))
+            values = encode.luminance(output[below], out=strips.workspace.array("values", shape))
             count = rows.stop - rows.start
             self._values[rows] = values[:count]
             for limit, extremes in ((cv2.erode, self._least), (cv2.dilate, self._most)):
@@ -212,7 +212,7 @@ class _Luminance:
         strips.run(work, height, width)
 
     def sharpening(
-        self, positions: np.ndarray, taken: np.ndarray, valid: np.ndarray, scratch: Scratch
+        self, positions: np.ndarray, taken: np.ndarray, valid: np.ndarray, workspace: Workspace
     ) -> np.ndarray:
         """What makes linear interpolation as sharp as cubic convolution: a factor, ``(h, w)``.
 
@@ -221,13 +221,15 @@ class _Luminance:
         positions : (h, w, 2) float32
         taken, valid
             What `_mean_of_taps` gave.
-        scratch
+        workspace
             Where the result lies.
         """
         border, shape = cv2.BORDER_REPLICATE, valid.shape
-        sharp, limit, linear = (scratch.array(name, shape) for name in ("sharp", "limit", "linear"))
+        sharp, limit, linear = (
+            workspace.array(name, shape) for name in ("sharp", "limit", "linear")
+        )
         cv2.remap(self._values, positions, None, cv2.INTER_CUBIC, sharp, border)
-        corner = np.floor(positions, out=scratch.array("corner", positions.shape))
+        corner = np.floor(positions, out=workspace.array("corner", positions.shape))
         for limited, extremes in ((cv2.max, self._least), (cv2.min, self._most)):
             cv2.remap(extremes, corner, None, cv2.INTER_NEAREST, limit, border)
             limited(sharp, limit, dst=sharp)
@@ -242,18 +244,18 @@ class _Luminance:
         return sharp
 
 
-def _scale(taken: np.ndarray, factor: np.ndarray, scratch: Scratch) -> None:
+def _scale(taken: np.ndarray, factor: np.ndarray, workspace: Workspace) -> None:
     # alpha of float images is 1: what lay in the frame stays as it is
-    factors = cv2.cvtColor(factor, cv2.COLOR_GRAY2RGBA, dst=scratch.array("four", taken.shape))
+    factors = cv2.cvtColor(factor, cv2.COLOR_GRAY2RGBA, dst=workspace.array("four", taken.shape))
     cv2.multiply(taken, factors, dst=taken)
 
 
 def _mean_of_taps(
-    output: np.ndarray, positions: np.ndarray, taken: np.ndarray, scratch: Scratch
+    output: np.ndarray, positions: np.ndarray, taken: np.ndarray, workspace: Workspace
 ) -> np.ndarray:
     """Fill means of the taps that there are; the result says how much of them lay in the frame."""
     bilinear(output, positions, taken)
-    valid = cv2.extractChannel(taken, 3, dst=scratch.array("valid", taken.shape[:2]))
+    valid = cv2.extractChannel(taken, 3, dst=workspace.array("valid", taken.shape[:2]))
     if valid.min() < _WHOLE:
         at = np.flatnonzero(valid < _WHOLE)
         share = np.maximum(np.take(valid, at), _LEAST_VALID)  # nothing is 0, whatever divides it

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.strips import interleave, pixels_of, planes_of
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.model_spec.loader import Temporal
 
 # A 2x2 block of the previous frame is one smooth surface when its normals' components and its
@@ -23,15 +23,15 @@ _TINY = np.float32(1e-12)  # share of a tap: keeps 0/0 out of pixels without a t
 
 
 def pack(
-    normal: np.ndarray | None, depth: np.ndarray | None, scratch: Scratch | None = None
+    normal: np.ndarray | None, depth: np.ndarray | None, workspace: Workspace | None = None
 ) -> np.ndarray:
-    """Guides of a frame's rows as ``(h, w, 4)``, see `guide_planes`."""
-    planes = guide_planes(normal, depth, scratch or Scratch())
+    """Guides of a frame's rows as ``(h, w, 4)``, see `surface_guide_planes`."""
+    planes = surface_guide_planes(normal, depth, workspace or Workspace())
     return interleave(planes, out=np.empty((*planes.shape[1:], 4), np.float32))
 
 
-def guide_planes(
-    normal: np.ndarray | None, depth: np.ndarray | None, scratch: Scratch
+def surface_guide_planes(
+    normal: np.ndarray | None, depth: np.ndarray | None, workspace: Workspace
 ) -> np.ndarray:
     """Guides of a frame's rows: the geometry that tells whether two pixels show one surface.
 
@@ -43,7 +43,7 @@ def guide_planes(
         0 where nothing was hit.
     depth : (h, w) float32 or None
         0 where nothing was hit. One of both must be given.
-    scratch
+    workspace
         Where the result and what leads to it lie.
 
     Returns
@@ -55,7 +55,7 @@ def guide_planes(
     if present is None:
         raise ValueError("one of normal and depth must be given")
     shape = present.shape[:2]
-    planes = scratch.array("guides", (4, *shape))
+    planes = workspace.array("guides", (4, *shape))
     x, y, z, logarithm = planes
     if depth is None:
         logarithm.fill(0)
@@ -69,7 +69,7 @@ def guide_planes(
         z.fill(0)
         return planes
     planes_of(normal, out=planes[:3])
-    length = np.square(x, out=scratch.array("length", shape))
+    length = np.square(x, out=workspace.array("length", shape))
     cv2.accumulateSquare(y, length)
     cv2.accumulateSquare(z, length)
     # what has no normal gets one, so that it agrees with its like; its depth tells it apart
@@ -89,8 +89,8 @@ def guide_planes(
     return planes
 
 
-def rough_blocks(
-    packed: np.ndarray, rows: slice, out: np.ndarray, scratch: Scratch | None = None
+def mark_discontinuities(
+    packed: np.ndarray, rows: slice, out: np.ndarray, workspace: Workspace | None = None
 ) -> None:
     """Mark where the 2x2 block that begins at a pixel holds more than one smooth surface.
 
@@ -101,16 +101,16 @@ def rough_blocks(
     rows
         The rows of the frame to mark.
     out : (h + 1, w + 1) uint8
-        Element (y, x) is of the block with its top left at (y - 1, x - 1), 1 where it is rough.
+        Element (y, x) is of the block with its top left at (y - 1, x - 1): 1 for more than one.
         Blocks that stick out of the frame are.
-    scratch
+    workspace
         Where temporaries lie, if given.
     """
-    scratch = scratch or Scratch()
+    workspace = workspace or Workspace()
     top = max(rows.start - 1, 0)
     strip = packed[top : rows.stop]
     block = np.ones((2, 2), np.uint8)
-    most, least = (scratch.array(name, strip.shape) for name in ("most", "least"))
+    most, least = (workspace.array(name, strip.shape) for name in ("most", "least"))
     # anchored at its bottom right, the block of (y, x) holds (y - 1, x - 1) .. (y, x)
     cv2.dilate(strip, block, dst=most, anchor=(1, 1))
     cv2.erode(strip, block, dst=least, anchor=(1, 1))
@@ -118,9 +118,9 @@ def rough_blocks(
     limits = np.tile(_SMOOTH, strip.shape[1])
     smooth = most.reshape(len(strip), -1) <= limits
     # four booleans at once
-    rough = smooth.view(np.uint32) != _FOUR_TRUE
+    discontinuous = smooth.view(np.uint32) != _FOUR_TRUE
     out[rows, 0] = out[rows, -1] = 1
-    out[top + 1 : rows.stop, 1:-1] = rough[1:, 1:]
+    out[top + 1 : rows.stop, 1:-1] = discontinuous[1:, 1:]
     if rows.start == 0:
         out[0] = 1
     if rows.stop == len(packed):
@@ -154,12 +154,12 @@ def positions_of(motion: np.ndarray, rows: slice, out: np.ndarray | None = None)
 def reproject(
     history: np.ndarray,
     before: np.ndarray | None,
-    rough: np.ndarray | None,
+    discontinuous: np.ndarray | None,
     now: np.ndarray | None,
     positions: np.ndarray | None,
     rows: slice,
     options: Temporal,
-    scratch: Scratch | None = None,
+    workspace: Workspace | None = None,
 ) -> np.ndarray:
     """Bring the history to the current pixels, bilinear taps accepted one by one.
 
@@ -179,17 +179,17 @@ def reproject(
         Irradiance and, last, the samples that it holds; the whole previous frame.
     before : (H, w, 4) float32 or None
         Guides of the whole previous frame, see `pack`; None where it had none.
-    rough : (H + 1, w + 1) uint8 or None
-        Their `rough_blocks`; not needed where nothing moves.
+    discontinuous : (H + 1, w + 1) uint8 or None
+        Their `mark_discontinuities`; not needed where nothing moves.
     now : (4, h, w) float32 or None
-        Guides of the rows to fill, see `guide_planes`.
+        Guides of the rows to fill, see `surface_guide_planes`.
     positions : (h, w, 2) float32 or None
         Where each of the pixels to fill was, x and y in pixels, finite; None where nothing moves.
     rows
         The rows of the frame to fill.
     options
         Thresholds.
-    scratch
+    workspace
         Where the result and what leads to it lie, if given.
 
     Returns
@@ -197,10 +197,10 @@ def reproject(
     (h, w, 4) float32
         Irradiance and samples at the current pixels; zeros where no tap was accepted.
     """
-    scratch = scratch or Scratch()
+    workspace = workspace or Workspace()
     (height, width), count = history.shape[:2], rows.stop - rows.start
-    taken = scratch.array("taken", (count, width, 4))
-    compared = scratch.array("compared", (count, width, 4))
+    taken = workspace.array("taken", (count, width, 4))
+    compared = workspace.array("compared", (count, width, 4))
     if positions is None:
         np.copyto(taken, history[rows])
         if before is not None:
@@ -211,18 +211,18 @@ def reproject(
             bilinear(before, positions, compared)
     if before is not None and now is not None:
         same = _same_surface(
-            planes_of(compared, out=scratch.array("before", (4, count, width))), now, options
+            planes_of(compared, out=workspace.array("before", (4, count, width))), now, options
         )
         pixels_of(taken)[np.flatnonzero(~same)] = 0
     if positions is None:
         return taken
-    corner = np.floor(positions, out=scratch.array("corner", positions.shape))
-    if rough is None:
+    corner = np.floor(positions, out=workspace.array("corner", positions.shape))
+    if discontinuous is None:
         left, top = corner[..., 0], corner[..., 1]
         apart = (left < 0) | (left >= width - 1) | (top < 0) | (top >= height - 1)
     else:
         corner += 1
-        apart = _nearest(rough, corner).view(bool)
+        apart = _nearest(discontinuous, corner).view(bool)
     at = np.flatnonzero(apart)
     if at.size:
         now_listed = None if now is None else np.take(now.reshape(4, -1), at, axis=1)

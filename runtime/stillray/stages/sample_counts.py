@@ -1,8 +1,8 @@
-"""How many samples a pixel a frame has, and what the past is worth beside them.
+"""How many samples a pixel a frame has, and how much the past counts beside them.
 
 The history counts in frames: a pixel of a frame adds 1 to what it holds, less if it is an outlier.
 Where a frame says how many samples a pixel it has, two things follow. A past of frames with fewer
-samples is worth fewer frames like this one. And in a frame whose pixels differ, each counts by its
+samples counts as fewer frames like this one. And in a frame whose pixels differ, each counts by its
 samples. So what is held at a pixel is brought to frames like this pixel of this frame, accumulated
 as ever, with all that is ruled there on outliers and on how much of a past is kept, and brought
 back to frames like the mean of this one.
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 #: Share of the mean's samples that a pixel counts as at least, if it has any: float32 holds what
-#: is divided by it, and what is filled in stays worth less.
+#: is divided by it, and what is filled in still weighs less.
 LEAST_SHARE = 1e-3
 _MOST_SCALE = 1e6  # a change of samples between frames beyond which a past is all or nothing
 
@@ -31,9 +31,9 @@ class SampleCounts:
         the frame before; None where that did not say either.
     share : (h, w) float32 or None
         Each pixel's samples by the mean, above 0; 1 where a pixel has none: it is filled in, and
-        what that is worth does not depend on it. None where the pixels do not differ.
+        what that weighs does not depend on it. None where the pixels do not differ.
     past_scale
-        Frames like this one that a frame of the past is worth.
+        Frames like this one that a frame of the past counts as.
     """
 
     mean: float | None = None
@@ -68,7 +68,7 @@ class SampleCounts:
         return cls(mean=mean, share=share, past_scale=scale)
 
     @property
-    def told(self) -> float:
+    def for_network(self) -> float:
         """Samples a pixel of a frame, for the network; 1 where nobody said, as in training."""
         return 1.0 if self.mean is None else self.mean
 

@@ -162,7 +162,7 @@ def has_mirrors(albedo: np.ndarray, black: float) -> bool:
     return cv2.countNonZero(few) >= max(_LEAST_SHARE * few.size, 1)
 
 
-def follow_reflections(
+def virtual_motion(
     motion: np.ndarray,
     depth: np.ndarray,
     albedo: np.ndarray,

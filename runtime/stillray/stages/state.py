@@ -19,14 +19,14 @@ class Remembered:
     ----------
     shape
         Height and width of the frame, pixels.
-    divisor, output
+    mean_albedo, output
         Whether the history has them.
     layers
         Names of the layers that have a past.
     """
 
     shape: tuple[int, int]
-    divisor: bool
+    mean_albedo: bool
     output: bool
     layers: frozenset[str]
 
@@ -56,19 +56,19 @@ class History:
     ----------
     mean : (h, w, 4) float32
         Accumulated irradiance and, last, the samples that each pixel holds.
-    guides : (h, w, 4) float32 or None
+    surface_guides : (h, w, 4) float32 or None
         Geometry of the last frame, see `stillray.stages.reproject.pack`.
     exposure
         1 / irradiance, steadied over the sequence.
     noise
         See `stillray.stages.history_rejection`; None of a frame without a past.
     output : (h, w, 4) float32 or None
-        The last output, see `stillray.stages.previous_output.remember`; None for models that take
+        The last output, see `stillray.stages.previous_output.keep`; None for models that take
         none.
-    divisor : (h, w, 4) float32 or None
+    mean_albedo : (h, w, 4) float32 or None
         See `stillray.stages.albedo_history`; None for models that use this frame's alone.
-    divisor_samples
-        Frames that the ``divisor`` holds.
+    mean_albedo_frames
+        Frames that the ``mean_albedo`` holds.
     layers
         By name, the past of layers that are filtered as the beauty is.
     frame_samples
@@ -76,12 +76,12 @@ class History:
     """
 
     mean: np.ndarray
-    guides: np.ndarray | None
+    surface_guides: np.ndarray | None
     exposure: float
     noise: Noise | None = None
     output: np.ndarray | None = None
-    divisor: np.ndarray | None = None
-    divisor_samples: float = 0.0
+    mean_albedo: np.ndarray | None = None
+    mean_albedo_frames: float = 0.0
     layers: Mapping[str, LayerPast] = field(default_factory=dict)
     frame_samples: float | None = None
 
@@ -91,7 +91,7 @@ class History:
         height, width = self.mean.shape[:2]
         return Remembered(
             shape=(height, width),
-            divisor=self.divisor is not None,
+            mean_albedo=self.mean_albedo is not None,
             output=self.output is not None,
             layers=frozenset(self.layers),
         )
@@ -106,14 +106,14 @@ class Prepared:
     history
         The history after this frame; its ``mean`` is what the kernels filter.
     sample : (4, h, w) float32 or None
-        This frame's irradiance and, last, what its samples are worth; None where it was not asked
+        This frame's irradiance and, last, what its samples weigh; None where it was not asked
         for, or where there is no past: it is the ``mean`` then.
     luminance : (h, w) float32
         Luminance of this frame's irradiance.
-    divisor : (h, w, 3) float32 or None
+    demodulation_albedo : (h, w, 3) float32 or None
         What radiance was divided by; None where there is no albedo.
-    modulator : (h, w, 3) float32 or None
-        What the result is multiplied by: ``divisor``, or its mean over frames.
+    remodulation_albedo : (h, w, 3) float32 or None
+        What the result is multiplied by: ``demodulation_albedo``, or its mean over frames.
     local : (h, w) float32
         Tone-mapped local luminance: of the accumulated irradiance, if the network asks for it.
     albedo, normal, depth
@@ -140,8 +140,8 @@ class Prepared:
     history: History
     sample: np.ndarray | None
     luminance: np.ndarray
-    divisor: np.ndarray | None
-    modulator: np.ndarray | None
+    demodulation_albedo: np.ndarray | None
+    remodulation_albedo: np.ndarray | None
     local: np.ndarray
     albedo: np.ndarray | None
     normal: np.ndarray | None
@@ -164,7 +164,7 @@ class Filterable:
         Accumulated irradiance, finite, and the samples that each pixel holds.
     sample : (4, h, w) float32 or None
         This frame's irradiance and what its samples weigh; None for that of ``mean``.
-    modulator : (h, w, 3) float32 or None
+    remodulation_albedo : (h, w, 3) float32 or None
         What the result is multiplied by.
     previous : (h, w, 4) float32 or None
         Radiance of the previous output at these pixels, and how much of it is valid, [0, 1].
@@ -172,5 +172,5 @@ class Filterable:
 
     mean: np.ndarray
     sample: np.ndarray | None = None
-    modulator: np.ndarray | None = None
+    remodulation_albedo: np.ndarray | None = None
     previous: np.ndarray | None = None

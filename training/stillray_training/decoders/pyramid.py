@@ -55,9 +55,9 @@ def kernel_pyramid(
     for level in reversed(range(levels)):
         own = light[level]
         blend = maps[level].blend
-        if result is not None:  # a sample that is worth less than one counts as little
-            worth = held[level].clamp(max=1).log()
-            blend = torch.cat([blend[:, :1] + worth, blend[:, 1:]], 1)
+        if result is not None:  # a sample that weighs less than one counts as little
+            sample_weight = held[level].clamp(max=1).log()
+            blend = torch.cat([blend[:, :1] + sample_weight, blend[:, 1:]], 1)
         zero = torch.zeros_like(blend[:, :1])
         logit = torch.cat([zero, blend, maps[level].around], 1)
         first, *others = logit.softmax(1).split(1, 1)
@@ -118,7 +118,7 @@ def _corners(*corners_nchw: Tensor) -> Tensor:
 
 
 def unfold(logits: Sequence[Tensor]) -> tuple[Tensor, ...]:
-    """Logits with those of the finest level as one map, see `depth_to_space.Blocks`."""
+    """Logits with those of the finest level as one map, see `depth_to_space.DepthToSpace`."""
     finest, *coarser = logits
     if finest.shape[2:] == coarser[0].shape[2:]:
         finest = F.pixel_shuffle(finest, 2)
@@ -132,7 +132,7 @@ class _Parts(NamedTuple):
     pool: Tensor
     blend: Tensor
     resolve: Tensor
-    renew: Tensor
+    sample_blend: Tensor
     double: Tensor
     around: Tensor
 
@@ -145,7 +145,7 @@ def _parts(logits_nchw: Tensor, layout: LevelLayout, options: PyramidKernels) ->
     return _Parts(*logits_nchw.contiguous().clamp(-bound, bound).split(sizes, 1))
 
 
-def renewed(
+def blended_with_sample(
     irradiance_nchw: Tensor,
     samples_nchw: Tensor,
     new_nchw: Tensor,
@@ -164,9 +164,9 @@ def renewed(
     new_nchw : (n, 3, h, w)
         Irradiance of this frame.
     worth_nchw : (n, 1, h, w)
-        What its samples are worth, > 0.
+        What its samples weigh, > 0.
     logits_nchw : (n, planes, h, w)
-        Of the finest level; that of `LevelLayout.renew` is used.
+        Of the finest level; that of `LevelLayout.sample_blend` is used.
     options
         The bound of the logits.
 
@@ -175,7 +175,7 @@ def renewed(
     (n, 3, h, w), (n, 1, h, w)
         Irradiance, and the samples that it holds.
     """
-    more = _parts(logits_nchw, level_layout(0, 2, options), options).renew.exp()
+    more = _parts(logits_nchw, level_layout(0, 2, options), options).sample_blend.exp()
     total = samples_nchw + more * worth_nchw
     light = (samples_nchw * irradiance_nchw + more * worth_nchw * new_nchw) / total
     return light, total / (1 + more)

@@ -122,7 +122,9 @@ def accumulate_frames(frames: Sequence[Frame], model: str) -> list[np.ndarray]:
         prepared = prepare(frame, spec, history, Strips(1))
         history = prepared.history
         mean = history.mean[..., :3]
-        images.append(mean if prepared.divisor is None else mean * prepared.divisor)
+        images.append(
+            mean if prepared.demodulation_albedo is None else mean * prepared.demodulation_albedo
+        )
     return images
 
 

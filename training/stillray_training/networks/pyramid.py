@@ -17,7 +17,7 @@ from stillray_training.networks.repvgg import RepVGGBlock
 
 _UNRESOLVED = -3.0  # logit of a neighbour against the pixel itself, before training
 _ALONE = -5.0  # of one of many neighbours of the finest level
-_UNRENEWED = -3.0  # and of the new sample's worth beside what was accumulated
+_NO_SAMPLE_BLEND = -3.0  # and of the new sample's weight beside what was accumulated
 
 
 class PyramidNet(nn.Module):
@@ -133,7 +133,7 @@ def kernel_pyramid_net(spec: ModelSpec) -> PyramidNet:
             bias[layout.around] = _UNRESOLVED if level else _ALONE
             # from an unresolved picture: even shares would blur it and hide what to learn
             bias[layout.resolve] = _UNRESOLVED
-            bias[layout.renew] = _UNRENEWED
+            bias[layout.sample_blend] = _NO_SAMPLE_BLEND
     return made
 
 

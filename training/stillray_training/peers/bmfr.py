@@ -86,9 +86,9 @@ class Bmfr:
         mean, frames = blend(now.irradiance, past_color, options.color_share)
         fitted = fit(mean, features(now), index, options)
         filtered, _ = blend(fitted, past_filtered, options.filtered_share)
-        fresh = to_picture(filtered * now.divisor, now.exposure)
+        new_picture = to_picture(filtered * now.demodulation_albedo, now.exposure)
         picture = antialias(
-            fresh, history.picture if history else None, now.motion, options.antialias_share
+            new_picture, history.picture if history else None, now.motion, options.antialias_share
         )
         self.history = BmfrHistory(
             buffers=now,

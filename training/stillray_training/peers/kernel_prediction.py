@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stillray.arrays.strips import Strips, interleave, planes_of, with_halo
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.families.box_filter import bounded_exp
 from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.model_spec import ModelSpec
@@ -153,7 +153,7 @@ def filter_rows(
     logits: np.ndarray,
     inner: slice,
     options: PredictedKernels,
-    scratch: Scratch | None = None,
+    workspace: Workspace | None = None,
 ) -> np.ndarray:
     """The twin of `predicted_kernels` without PyTorch, for timing beside
     `stillray.families.box_filter`.
@@ -167,7 +167,7 @@ def filter_rows(
         Any values; NaN says nothing.
     inner
         The rows of the result.
-    scratch
+    workspace
         Where temporaries lie, if given.
 
     Returns
@@ -175,10 +175,10 @@ def filter_rows(
     (rows, w, 3) float32
         In the range of each window's irradiance.
     """
-    scratch = scratch or Scratch()
-    planes = filter_planes(mean, logits, inner, options, scratch)
+    workspace = workspace or Workspace()
+    planes = filter_planes(mean, logits, inner, options, workspace)
     if np.isnan(planes.max()):
-        planes = filter_planes(mean, np.nan_to_num(logits, nan=0.0), inner, options, scratch)
+        planes = filter_planes(mean, np.nan_to_num(logits, nan=0.0), inner, options, workspace)
     return interleave(planes, out=np.empty((*planes.shape[1:], 3), np.float32))
 
 
@@ -187,21 +187,21 @@ def filter_planes(
     logits: np.ndarray,
     inner: slice,
     options: PredictedKernels,
-    scratch: Scratch,
+    workspace: Workspace,
 ) -> np.ndarray:
-    """`filter_rows` as planes ``(3, rows, w)``, in the scratch; without a look for NaN logits.
+    """`filter_rows` as planes ``(3, rows, w)``, in the workspace; without a look for NaN logits.
 
     Logits beyond those of the kernel are not looked at.
     """
     size, half = options.kernel_size, options.kernel_size // 2
     padded = cv2.copyMakeBorder(mean, half, half, half, half, cv2.BORDER_CONSTANT)
-    planes = planes_of(padded, out=scratch.array("mean", (4, *padded.shape[:2])))
+    planes = planes_of(padded, out=workspace.array("mean", (4, *padded.shape[:2])))
     *colors, samples = planes
     if not options.weigh_samples:
         samples = (samples > 0).astype(np.float32)
     shape = inner.stop - inner.start, mean.shape[1]
-    total, weight_sum = scratch.array("total", (3, *shape)), scratch.array("weight_sum", shape)
-    weight = scratch.array("weight", shape)
+    total, weight_sum = workspace.array("total", (3, *shape)), workspace.array("weight_sum", shape)
+    weight = workspace.array("weight", shape)
     total.fill(0)
     weight_sum.fill(0)
     # the mean of a window instead of its sum: large radiance stays finite
@@ -245,13 +245,13 @@ class PredictedKernelsModel(TemporalKernels):
 
         def work(rows: slice) -> None:
             near, own = with_halo(rows, options.kernel_size // 2, height)
-            image[rows] = filter_rows(mean[near], logits[:, near], own, options, strips.scratch)
+            image[rows] = filter_rows(mean[near], logits[:, near], own, options, strips.workspace)
 
         with timed(timings, "reconstruct"):
             strips.run(work, height, width)
-        if light.modulator is not None:
-            with timed(timings, "modulate"):
-                image *= light.modulator
+        if light.remodulation_albedo is not None:
+            with timed(timings, "remodulate"):
+                image *= light.remodulation_albedo
         return image
 
 

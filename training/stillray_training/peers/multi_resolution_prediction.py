@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from torch import Tensor, nn
 
-from stillray.arrays.workspace import Scratch
+from stillray.arrays.workspace import Workspace
 from stillray.families import multi_resolution as multires
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import FusedKernels, PyramidNetwork
@@ -58,9 +58,9 @@ def multi_resolution_predicted_kernels(
 
 
 def _filter_level(
-    mean: np.ndarray, logits: np.ndarray, inner: slice, options: FusedKernels, scratch: Scratch
+    mean: np.ndarray, logits: np.ndarray, inner: slice, options: FusedKernels, workspace: Workspace
 ) -> np.ndarray:
-    return filter_planes(mean, logits, inner, kernels_of(options), scratch)
+    return filter_planes(mean, logits, inner, kernels_of(options), workspace)
 
 
 class MultiResolutionPredictedModel(multires.MultiResolutionModel):

@@ -12,7 +12,7 @@ from stillray.frame import Frame
 from stillray.model_spec.loader import Demodulate, Temporal, Transfer
 from stillray.stages import features as encode
 from stillray.stages import reproject
-from stillray.stages.demodulate import divisor
+from stillray.stages.demodulate import demodulation_albedo
 from stillray.stages.repair import repair_feature, repair_radiance
 
 MAX_IRRADIANCE = 1e16  # its square, and a window's sum of squares, stay finite in float32
@@ -28,7 +28,7 @@ class SequenceOptions:
     scenes; a peer gets the floor and the relative thresholds that our models get.
     """
 
-    albedo_floor: float = 0.1  # smallest divisor of a channel, (0, 1]
+    albedo_floor: float = 0.1  # smallest demodulation albedo of a channel, (0, 1]
     albedo_black: float = 0.001  # albedo below this in all channels: divide by 1, [0, floor]
     normal_cosine: float = 0.9  # of two normals of one surface at least, [-1, 1]
     depth_ratio: float = 0.1  # difference of two depths of one surface at most, share, > 0
@@ -44,14 +44,14 @@ class Buffers:
     ----------
     irradiance : (h, w, 3) float32
         Demodulated, in [0, MAX_IRRADIANCE].
-    divisor : (h, w, 3) float32
+    demodulation_albedo : (h, w, 3) float32
         What radiance was divided by; 1 where there is no albedo.
     normal : (h, w, 3) float32 or None
     depth : (h, w) float32 or None
         0 where nothing was hit.
     motion : (h, w, 2) float32 or None
         Pixels, finite.
-    guides : (h, w, 4) float32
+    surface_guides : (h, w, 4) float32
         Normal and logarithm of depth, see `stillray.stages.reproject.pack`; a normal is always
         there.
     exposure
@@ -59,11 +59,11 @@ class Buffers:
     """
 
     irradiance: np.ndarray
-    divisor: np.ndarray
+    demodulation_albedo: np.ndarray
     normal: np.ndarray | None
     depth: np.ndarray | None
     motion: np.ndarray | None
-    guides: np.ndarray
+    surface_guides: np.ndarray
     exposure: float
 
     @property
@@ -84,7 +84,7 @@ def prepare(frame: Frame, before: Buffers | None, options: SequenceOptions) -> B
     if frame.albedo is None:
         divide_by = np.ones_like(color)
     else:
-        divide_by = divisor(
+        divide_by = demodulation_albedo(
             repair_feature(frame.albedo, 0, 1),
             Demodulate(floor=options.albedo_floor, black=options.albedo_black),
         )
@@ -97,16 +97,16 @@ def prepare(frame: Frame, before: Buffers | None, options: SequenceOptions) -> B
         exposure = encode.steady_exposure(exposure, before.exposure, transfer)
     if normal is None and depth is None:
         depth_of_all = np.ones(frame.shape, np.float32)
-        guides = reproject.pack(None, depth_of_all)
+        surface_guides = reproject.pack(None, depth_of_all)
     else:
-        guides = reproject.pack(normal, depth)
+        surface_guides = reproject.pack(normal, depth)
     return Buffers(
         irradiance=irradiance,
-        divisor=divide_by,
+        demodulation_albedo=divide_by,
         normal=normal,
         depth=depth,
         motion=motion,
-        guides=guides,
+        surface_guides=surface_guides,
         exposure=exposure,
     )
 
@@ -133,8 +133,8 @@ def bring(
     if now.motion is None:
         return np.zeros_like(history)
     height, width = now.shape
-    rough = np.ones((height + 1, width + 1), np.uint8)
-    reproject.rough_blocks(before.guides, slice(0, height), rough)
+    discontinuous = np.ones((height + 1, width + 1), np.uint8)
+    reproject.mark_discontinuities(before.surface_guides, slice(0, height), discontinuous)
     temporal = Temporal(
         max_samples=1,  # not used here: each peer bounds its own memory
         outlier_ratio=1,
@@ -144,8 +144,10 @@ def bring(
     )
     rows = slice(0, height)
     positions = reproject.positions_of(now.motion, rows) if now.motion.any() else None
-    guides = planes_of(now.guides)
-    return reproject.reproject(history, before.guides, rough, guides, positions, rows, temporal)
+    surface_guides = planes_of(now.surface_guides)
+    return reproject.reproject(
+        history, before.surface_guides, discontinuous, surface_guides, positions, rows, temporal
+    )
 
 
 def blend(

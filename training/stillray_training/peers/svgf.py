@@ -131,9 +131,9 @@ class Svgf:
             mean, variance = wavelet_pass(mean, variance, edges, 1 << level, options, self._strips)
             if level == 0:  # section 4.3: the next frame's history
                 remembered = mean
-        fresh = to_picture(mean * now.divisor, now.exposure)
+        new_picture = to_picture(mean * now.demodulation_albedo, now.exposure)
         picture = antialias(
-            fresh, history.picture if history else None, now.motion, options.antialias_share
+            new_picture, history.picture if history else None, now.motion, options.antialias_share
         )
         self.history = SvgfHistory(
             buffers=now,
@@ -153,11 +153,11 @@ def find_edges(buffers: Buffers) -> Edges:
     """
     depth = buffers.depth
     if depth is None:  # what was hit lies at 1
-        depth = (buffers.guides[..., 3] >= 0).astype(np.float32)
+        depth = (buffers.surface_guides[..., 3] >= 0).astype(np.float32)
     ahead_x = np.diff(depth, axis=1, append=depth[:, -1:])
     ahead_y = np.diff(depth, axis=0, append=depth[-1:])
     return Edges(
-        normal=np.ascontiguousarray(buffers.guides[..., :3]),
+        normal=np.ascontiguousarray(buffers.surface_guides[..., :3]),
         depth=depth,
         slope_x=cv2.medianBlur(ahead_x, 3),
         slope_y=cv2.medianBlur(ahead_y, 3),

@@ -21,14 +21,14 @@ from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
 from stillray.models.registry import ModelInfo
 from stillray.models.session import open_session
-from stillray.profiling.machine import Peaks
+from stillray.profiling.machine import PeakRates
 
 _BYTES = 4  # of a float32
 _CHANNELS = {"color": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Work:
+class Cost:
     """What has to be done.
 
     Attributes
@@ -42,12 +42,12 @@ class Work:
     operations: float
     bytes: float
 
-    def floor(self, peaks: Peaks) -> float:
+    def roofline(self, peaks: PeakRates) -> float:
         """Milliseconds that a machine needs at least: for the dearer of both."""
         return 1e3 * max(self.operations / peaks.operations, self.bytes / peaks.bandwidth)
 
 
-def stage_work(info: ModelInfo, frame: Frame) -> dict[str, Work]:
+def stage_costs(info: ModelInfo, frame: Frame) -> dict[str, Cost]:
     """The work of every stage that a frame with a past may call for, by its name in the timings.
 
     Parameters
@@ -61,7 +61,7 @@ def stage_work(info: ModelInfo, frame: Frame) -> dict[str, Work]:
     return {
         "network": _network(info, *frame.shape),
         **{
-            name: Work(operations=operations * pixels, bytes=_BYTES * planes * pixels)
+            name: Cost(operations=operations * pixels, bytes=_BYTES * planes * pixels)
             for name, (operations, planes) in _each_pixel(info.spec, frame).items()
         },
     }
@@ -70,7 +70,7 @@ def stage_work(info: ModelInfo, frame: Frame) -> dict[str, Work]:
 def _each_pixel(spec: ModelSpec, frame: Frame) -> dict[str, tuple[float, float]]:
     """Operations and planes of a stage, a pixel."""
     albedo = 3 if frame.albedo is not None else 0
-    guides = sum(
+    surfaces = sum(
         _CHANNELS[name] for name in ("normal", "depth") if getattr(frame, name) is not None
     )
     features = len(spec.network.features)
@@ -85,36 +85,42 @@ def _each_pixel(spec: ModelSpec, frame: Frame) -> dict[str, tuple[float, float]]
         "expose": (local + 2, 2),
         # weight, luminance of the past, four planes halved; at half resolution and a third more of
         # it, four window sums, the error of a difference and what it leaves, twice at the finest
-        "reject": (8 + 5 + 7 + 4 + 1 / 3 * (4 * WINDOW_SUM + 2 * 14), 2 + 1 + 4 + 4 / 3 * 8),
+        "reject_history": (
+            8 + 5 + 7 + 4 + 1 / 3 * (4 * WINDOW_SUM + 2 * 14),
+            2 + 1 + 4 + 4 / 3 * 8,
+        ),
         # two images toned and halved; at half resolution, a depth: positions, a tap, a window sum
-        "mirror": (2 * (5 + 4 + 1) + 4 / 4 * (4 + 9 + 2 + WINDOW_SUM), 4 + 1 + albedo + 1 + 2 + 2),
-        "guides": (7, guides + 4),
-        # four taps of history and guides, and the test of each
-        "warp": (4 * (2 * 8 + 9) + 12, 2 + 4 + 4 + 4),
+        "specular_motion": (
+            2 * (5 + 4 + 1) + 4 / 4 * (4 + 9 + 2 + WINDOW_SUM),
+            4 + 1 + albedo + 1 + 2 + 2,
+        ),
+        "surface_guides": (7, surfaces + 4),
+        # four taps of history and surface guides, and the test of each
+        "reproject": (4 * (2 * 8 + 9) + 12, 2 + 4 + 4 + 4),
         # weight, running mean of three channels, local luminance
         "accumulate": (8 + 3 * 4 + local + 5, 3 + albedo + 2 + 4 + 2),
         # four taps, the least and the most of nine, limits and the mean, of each channel
-        "antialias": (3 * (4 * 2 + 4 + 4 + 2 + 3), albedo + 2 + 4 + 4 + albedo),
-        "recall": (4 * 2 * 4 + 6, 2 + 4 + 4),
-        "encode": (3 * (4 + EXP) + 4 + 2, 4 + 1 + albedo + guides + features),
+        "accumulate_albedo": (3 * (4 * 2 + 4 + 4 + 2 + 3), albedo + 2 + 4 + 4 + albedo),
+        "resample_output": (4 * 2 * 4 + 6, 2 + 4 + 4),
+        "encode": (3 * (4 + EXP) + 4 + 2, 4 + 1 + albedo + surfaces + features),
         "reconstruct": (operations, planes),
-        "modulate": (3, 3),
-        "remember": (0, 3 + 4),
+        "remodulate": (3, 3),
+        "keep_output": (0, 3 + 4),
     }
 
 
-def _network(info: ModelInfo, height: int, width: int) -> Work:
+def _network(info: ModelInfo, height: int, width: int) -> Cost:
     multiple = family_of(info.spec).traits.tile_alignment
     # work is proportional to the pixels, so that a small frame tells
     side = max(multiple, 16)
-    small = network_work(info.path, side, side)
+    small = network_cost(info.path, side, side)
     full = (-(-height // multiple) * multiple) * (-(-width // multiple) * multiple)
     scale = full / side**2
-    return Work(operations=small.operations * scale, bytes=small.bytes * scale)
+    return Cost(operations=small.operations * scale, bytes=small.bytes * scale)
 
 
-def network_work(path: Path, height: int, width: int) -> Work:
-    """Work of a network's convolutions for one input, from the shapes that ONNX Runtime reports.
+def network_cost(path: Path, height: int, width: int) -> Cost:
+    """Cost of a network's convolutions for one input, from the shapes that ONNX Runtime reports.
 
     What is element-wise can be done while a convolution's result is at hand, and counts nothing.
 
@@ -147,4 +153,4 @@ def network_work(path: Path, height: int, width: int) -> Work:
         # every output element is a sum over input channels and the kernel's window
         operations += 2 * prod(given) * prod(weights[1:])
         moved += _BYTES * (prod(taken) + prod(given))
-    return Work(operations=operations, bytes=moved)
+    return Cost(operations=operations, bytes=moved)
