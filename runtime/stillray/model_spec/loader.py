@@ -76,7 +76,7 @@ class Inputs:
 class Demodulate:
     """Division of radiance by albedo before filtering (Fan et al. 2021, section 4.2)."""
 
-    floor: float  # smallest divisor of a channel, (0, 1]
+    floor: float  # smallest demodulation albedo of a channel, (0, 1]
     black: float  # albedo below this in all channels says nothing: divide by 1 there, [0, floor]
 
 
