@@ -51,7 +51,7 @@ class Example:
     """The last frame of a sequence as the network will meet it, and its reference."""
 
     mean: np.ndarray  # (h, w, 4) irradiance and samples
-    sample: np.ndarray  # (h, w, 4) irradiance of this frame and what it is worth
+    sample: np.ndarray  # (h, w, 4) irradiance of this frame and what it weighs
     exposure: float
     demodulation_albedo: np.ndarray  # (h, w, 3) what radiance was divided by
     remodulation_albedo: np.ndarray  # (h, w, 3) what the result is multiplied by
@@ -75,8 +75,9 @@ class Batch:
     irradiance: np.ndarray
     samples: np.ndarray
     new: np.ndarray
-    worth: np.ndarray
-    divisor: np.ndarray  # what the result is multiplied by
+    # as the whole models that are exported call their inputs
+    worth: np.ndarray  # what samples weigh
+    divisor: np.ndarray  # the albedo that the result is multiplied by
     previous: np.ndarray
     valid: np.ndarray
     reference: np.ndarray

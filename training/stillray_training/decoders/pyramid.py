@@ -149,7 +149,7 @@ def blended_with_sample(
     irradiance_nchw: Tensor,
     samples_nchw: Tensor,
     new_nchw: Tensor,
-    worth_nchw: Tensor,
+    weight_nchw: Tensor,
     logits_nchw: Tensor,
     options: PyramidKernels,
 ) -> tuple[Tensor, Tensor]:
@@ -163,7 +163,7 @@ def blended_with_sample(
         Samples that each pixel holds, > 0.
     new_nchw : (n, 3, h, w)
         Irradiance of this frame.
-    worth_nchw : (n, 1, h, w)
+    weight_nchw : (n, 1, h, w)
         What its samples weigh, > 0.
     logits_nchw : (n, planes, h, w)
         Of the finest level; that of `LevelLayout.sample_blend` is used.
@@ -176,8 +176,8 @@ def blended_with_sample(
         Irradiance, and the samples that it holds.
     """
     more = _parts(logits_nchw, level_layout(0, 2, options), options).sample_blend.exp()
-    total = samples_nchw + more * worth_nchw
-    light = (samples_nchw * irradiance_nchw + more * worth_nchw * new_nchw) / total
+    total = samples_nchw + more * weight_nchw
+    light = (samples_nchw * irradiance_nchw + more * weight_nchw * new_nchw) / total
     return light, total / (1 + more)
 
 
