@@ -2,6 +2,7 @@
 circles; the runtime knows neither training nor export."""
 
 import ast
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -26,13 +27,20 @@ OUTSIDE = {"stillray_training", "stillray_export", "torch", "mitsuba"}
 ALLOWED = {("stillray.compare.metrics", "torch")}
 
 
+@cache  # half a second of processor time for all of them, and the tests look six times
+def imports_in(source: str) -> list[ast.Import | ast.ImportFrom]:
+    """The import statements of a source, anywhere in it."""
+    nodes = ast.walk(ast.parse(source))
+    return [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
 def imported(source: str, modules: set[str]) -> set[str]:
     """Names of modules that a source imports, anywhere in it; of ours, the very modules."""
     found = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in imports_in(source):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
+        else:
             assert node.level == 0, "imports are absolute"
             for alias in node.names:
                 inner = f"{node.module}.{alias.name}"

@@ -14,6 +14,7 @@ from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
 from stillray.io.exr.read_write import read_exr, write_channels  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
+from stillray.models.registry import list_models  # noqa: E402
 from stillray_training import provenance, train  # noqa: E402
 from stillray_training.dataset import (  # noqa: E402
     NOISY,
@@ -289,9 +290,41 @@ def test_provenance_counts_scenes_and_credits_them(small, tmp_path):
     assert about["training_loss"] == pytest.approx(0.4)
 
 
-def test_a_scene_of_unknown_licence_cannot_ship():
-    with pytest.raises(InputError, match=r"must be in credits\.toml, got torus"):
-        provenance.credits_of({"room", "torus"})
+def test_renders_of_ones_own_are_told_apart_and_train_no_model_that_ships():
+    credits = provenance.credits_of({"room", "show"})
+    assert credits["show"] == provenance.UNSTATED
+    assert "Apache-2.0" in credits["room"]
+    for model in list_models():
+        assert provenance.UNSTATED not in json.dumps(model.provenance)
+        assert provenance.UNSTATED not in provenance.credits_of(set(model.provenance["data"]))
+
+
+@pytest.mark.parametrize(
+    ("missing", "message"),
+    [
+        ("frame_*.exr", "must hold frames, frame_0000"),
+        ("ref_*.exr", r"must hold a reference, ref_0007\.exr"),
+    ],
+)
+def test_a_sequence_that_lacks_files_is_refused_in_a_line(data, tmp_path, missing, message):
+    sequence = tmp_path / "room-0-0"
+    shutil.copytree(data / "room-0000-0", sequence)
+    for path in sequence.glob(missing):
+        path.unlink()
+    with pytest.raises(InputError, match=message):
+        load_examples(sequence, load("wskp-3"), Strips(1))
+
+
+def test_a_sequence_smaller_than_a_patch_is_refused_in_a_line(data):
+    spec = load("wskp-3")
+    examples = load_examples(data / "room-0000-0", spec, Strips(1))
+    with pytest.raises(InputError, match=r"room-0000-0: must have 128 x 128 pixels or more"):
+        PatchSampler(examples, spec)
+
+
+def test_a_folder_that_is_not_there_is_one_line(small, tmp_path):
+    with pytest.raises(InputError, match="data must be a folder of sequences"):
+        train.train(small, [tmp_path / "gone"], tmp_path / "out")
 
 
 def test_another_model_s_weights_are_taken_over_by_the_names_of_features(data, small, tmp_path):

@@ -8,6 +8,11 @@ def simulate() -> None:
     run_extra("stillray_training.simulate.__main__", "simulate", "train")
 
 
+def gather() -> None:
+    """``stillray-gather``"""
+    run_extra("stillray_training.own_renders", "main", "train")
+
+
 def train() -> None:
     """``stillray-train``"""
     run_extra("stillray_training.train", "main", "train")

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.strips import Strips, interleave
+from stillray.errors import InputError
 from stillray.families.contract import Context, Request
 from stillray.families.registry import kernels_of
 from stillray.frame import Frame
@@ -85,13 +86,29 @@ class Batch:
 
 
 def find_sequences(folder: Path) -> list[Path]:
-    """Folders of finished sequences, sorted by name."""
+    """Folders of finished sequences, sorted by name.
+
+    Raises
+    ------
+    InputError
+        There is no such folder.
+    """
+    if not folder.is_dir():
+        raise InputError(f"data must be a folder of sequences, got {folder}")
     return sorted(path for path in folder.iterdir() if path.is_dir() and is_complete(path))
 
 
 def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Example]:
-    """The last frame of a sequence, accumulated from each of the starting frames; then others."""
+    """The last frame of a sequence, accumulated from each of the starting frames; then others.
+
+    Raises
+    ------
+    InputError
+        The sequence lacks its frames or its reference.
+    """
     frames = [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
+    if not frames:
+        raise InputError(f"{sequence}: must hold frames, frame_0000.exr and on")
     reference, spp = read_target(sequence)
     examples = _all_examples(sequence, frames, reference, spp, spec, strips)
     return [replace(example, sequence=sequence.name) for example in examples]
@@ -266,9 +283,21 @@ class PatchSampler:
         What to draw from; may be replaced one by one between batches.
     spec
         The model's specification.
+
+    Raises
+    ------
+    InputError
+        An example is smaller than a patch.
     """
 
     def __init__(self, examples: list[Example], spec: ModelSpec) -> None:
+        size = spec.training.patch
+        for one in examples:
+            if min(one.reference.shape[:2]) < size:
+                raise InputError(
+                    f"{one.sequence}: must have {size} x {size} pixels or more, the size of a "
+                    f"patch, got {one.reference.shape[:2]}"
+                )
         # places, not examples: those are replaced when previous outputs are renewed
         self._examples = examples
         self._places: dict[str, list[int]] = {}

@@ -19,6 +19,7 @@ from rich.progress import track
 
 from stillray.cli import program
 from stillray.compare.display import display_exposure, tone_map
+from stillray.errors import InputError
 from stillray.io.exr.read_write import read_exr
 from stillray_training.blocks import mean_frame, read_blocks
 from stillray_training.peers.oidn import open_image_denoise
@@ -29,8 +30,15 @@ def read_target(sequence: Path) -> tuple[np.ndarray, float]:
     """What the last frame of a sequence is to become, ``(h, w, 3)``, and its samples a pixel.
 
     The target if there is one, else the reference.
+
+    Raises
+    ------
+    InputError
+        There is none.
     """
     paths = sorted(sequence.glob("target_*.exr")) or sorted(sequence.glob("ref_*.exr"))
+    if not paths:
+        raise InputError(f"{sequence}: must hold a reference, ref_0007.exr for frame_0007.exr")
     options = json.loads((sequence / RECORD).read_text())["options"]
     return read_exr(paths[-1]).color, float(options["spp"])
 

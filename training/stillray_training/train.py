@@ -231,7 +231,10 @@ def load_all(data: list[Path], spec: ModelSpec, progress: Progress) -> list[Exam
 def _all_sequences(data: list[Path]) -> list[Path]:
     sequences = [path for folder in data for path in find_sequences(folder)]
     if not sequences:
-        raise InputError(f"data must hold finished sequences, got {', '.join(map(str, data))}")
+        raise InputError(
+            f"data must hold finished sequences, got {', '.join(map(str, data))}; stillray-gather "
+            "makes them of renders of your own"
+        )
     return sequences
 
 
