@@ -60,7 +60,7 @@ class SampleCounts:
     """
 
     def __init__(self, samples: Tensor, before: Tensor) -> None:
-        from stillray.stages.sample_counts import _MOST_SCALE, LEAST_SHARE
+        from stillray.stages.sample_counts import LEAST_SHARE, MOST_SCALE
 
         sampled = samples > 0
         self.empty = (samples == 0).to(torch.float32)
@@ -71,6 +71,6 @@ class SampleCounts:
         self.share = share.clamp(min=LEAST_SHARE)
         known = (before > 0) & (self.mean > 0)
         scale = before / self.mean.clamp(min=1e-30)
-        scale = scale.clamp(1 / _MOST_SCALE, _MOST_SCALE)
+        scale = scale.clamp(1 / MOST_SCALE, MOST_SCALE)
         self.past_scale = torch.where(known, scale, 1.0)
         self.told = torch.where(self.mean > 0, self.mean, 1.0)

@@ -13,7 +13,7 @@ from stillray.families.registry import kernels_of
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import PyramidKernels
 from stillray.stages.accumulate import FILLED_WEIGHT
-from stillray.stages.prepare import _RELIT
+from stillray.stages.prepare import LEAST_KEPT
 from stillray.stages.repair import MAX_DEPTH, MAX_MOTION
 from stillray_export.frame_graph.accumulation import (
     SampleCounts,
@@ -33,7 +33,7 @@ from stillray_export.frame_graph.rejection import Noise, compare, confidence
 from stillray_export.frame_graph.repair import repair_feature, repair_motion, repair_radiance
 from stillray_export.frame_graph.reprojection import guide_planes, reproject
 from stillray_training.decoders.boxes import pooled_box_mean
-from stillray_training.decoders.pyramid import kernel_pyramid, renewed, resolve, unfold
+from stillray_training.decoders.pyramid import blended_with_sample, kernel_pyramid, resolve, unfold
 
 #: Numbers that a state holds: exposure, exposure of its noise, frames of its noise, samples a
 #: pixel, frames of its albedo.
@@ -178,7 +178,7 @@ class FrameGraph(nn.Module):
         motion = torch.where(frame.moves > 0, motion, frame.motion)
         guides = guide_planes(frame.normal, frame.depth)
         held, trusted, noise, kept = self._look_back(frame, past, motion, guides, (light, exposure))
-        relit = (frame.moves > 0) & (kept < _RELIT)
+        relit = (frame.moves > 0) & (kept < LEAST_KEPT)
         final = torch.where(relit, own, exposure)
         local = local_luminance(tone_map(light, final), spec.transfer.local_size)
         counts, before = frame.counts, held[:, 3:] * trusted
@@ -275,7 +275,7 @@ class FrameGraph(nn.Module):
             planes[:, count + start : count + stop]
             for start, stop in ((0, 3), (3, 4), (4, 7), (7, 8))
         )
-        light, held = renewed(light, held, new, worth, logits[0], self.options)
+        light, held = blended_with_sample(light, held, new, worth, logits[0], self.options)
         image = kernel_pyramid(light, held, logits, self.options, pooled_box_mean)
         # what was added to whole cells goes before pixels are mixed with their neighbours
         image = image[..., :height, :width] * frame.divisor

@@ -24,7 +24,8 @@ from stillray.stages.sample_counts import SampleCounts
 from stillray.stages.state import History, Prepared
 from stillray.timing import timed, timed_pass
 
-_LEAST_KEPT = 0.5  # share of the past that is kept, below which the exposure begins anew
+#: Share of the past that is kept, below which the exposure begins anew.
+LEAST_KEPT = 0.5
 
 
 def prepare(
@@ -268,7 +269,7 @@ class _Pixels:
             )
         kept = 1.0 if self.confidence is None else cv2.mean(self.confidence)[0]
         kept *= cv2.countNonZero(self._blocks[0]) / self._blocks[0].size  # 0 without a past
-        if kept < _LEAST_KEPT:
+        if kept < LEAST_KEPT:
             self.exposed = expose_anew(self.exposed, self._means)
 
     def _geometry(self, rows: slice, out: np.ndarray) -> np.ndarray:

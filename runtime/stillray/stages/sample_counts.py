@@ -17,7 +17,7 @@ import numpy as np
 #: Share of the mean's samples that a pixel counts as at least, if it has any: float32 holds what
 #: is divided by it, and what is filled in still weighs less.
 LEAST_SHARE = 1e-3
-_MOST_SCALE = 1e6  # a change of samples between frames beyond which a past is all or nothing
+MOST_SCALE = 1e6  # a change of samples between frames beyond which a past is all or nothing
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,7 +64,7 @@ class SampleCounts:
             mean = samples
         scale = 1.0
         if before is not None and mean is not None:
-            scale = min(max(before / mean, 1 / _MOST_SCALE), _MOST_SCALE)
+            scale = min(max(before / mean, 1 / MOST_SCALE), MOST_SCALE)
         return cls(mean=mean, share=share, past_scale=scale)
 
     @property

@@ -11,7 +11,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from stillray.arrays.strips import Strips  # noqa: E402
-from stillray.arrays.workspace import Scratch  # noqa: E402
+from stillray.arrays.workspace import Workspace  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray.stages import accumulate as runtime_accumulate  # noqa: E402
 from stillray.stages import (  # noqa: E402
@@ -125,7 +125,7 @@ def test_local_luminance_and_divisor(size):
     )
     given = np.random.default_rng(2).uniform(0, 0.3, (*size, 3)).astype(np.float32)
     given[::2, ::2] = 0
-    wanted = demodulate.divisor(given, SPEC.demodulate)
+    wanted = demodulate.demodulation_albedo(given, SPEC.demodulate)
     np.testing.assert_array_equal(image(light.divisor(planes(given), SPEC.demodulate)), wanted)
 
 
@@ -182,7 +182,7 @@ def test_weights_of_samples_and_accumulation(size):
     np.testing.assert_allclose(image(got), wanted, rtol=1e-5)
     new = rng.lognormal(0, 2, (*size, 3)).astype(np.float32)
     bounded, weight = accumulation.bound(planes(new), got)
-    expected = runtime_accumulate.bound(new, wanted, new.copy())
+    expected = runtime_accumulate.clamp_fireflies(new, wanted, new.copy())
     np.testing.assert_allclose(image(bounded), expected, rtol=1e-5)
     past = rng.lognormal(0, 2, (*size, 3)).astype(np.float32)
     stack = np.ascontiguousarray(np.concatenate([past, held[..., None]], -1).transpose(2, 0, 1))
@@ -235,10 +235,10 @@ def test_history_is_brought_here_tap_by_tap(size):
     guides, past_guides = (runtime_reproject.pack(f.normal, f.depth) for f in (now, before))
     rows = slice(0, size[0])
     at = runtime_reproject.positions_of(motion, rows)
-    rough = np.zeros((size[0] + 1, size[1] + 1), np.uint8)
-    runtime_reproject.rough_blocks(past_guides, rows, rough)
+    discontinuous = np.zeros((size[0] + 1, size[1] + 1), np.uint8)
+    runtime_reproject.mark_discontinuities(past_guides, rows, discontinuous)
     wanted = runtime_reproject.reproject(
-        history, past_guides, rough, guides.transpose(2, 0, 1), at, rows, SPEC.temporal
+        history, past_guides, discontinuous, guides.transpose(2, 0, 1), at, rows, SPEC.temporal
     )
     got = reprojection.reproject(
         torch.from_numpy(history),
@@ -254,7 +254,7 @@ def test_history_is_brought_here_tap_by_tap(size):
 def test_silhouettes_follow_the_nearer_surface(size):
     shown = sequence(2, *size, broken=False)[1]
     wanted = runtime_reproject.positions_of(shown.motion, slice(0, size[0])).copy()
-    motion_dilation.follow_nearer(wanted, shown.motion, shown.depth, slice(0, size[0]), Scratch())
+    motion_dilation.dilate_motion(wanted, shown.motion, shown.depth, slice(0, size[0]), Workspace())
     got = dilation.follow_nearer(planes(shown.motion), planes(shown.depth))
     np.testing.assert_allclose(image(got), wanted, atol=1e-4)
 
@@ -268,7 +268,7 @@ def test_the_last_output_is_recalled(size, sharp):
     places = np.stack(np.meshgrid(*(np.arange(n) for n in size[::-1])), -1).astype(np.float32)
     places += rng.normal(0, 2, places.shape).astype(np.float32)
     places[0, 0] = 1e6
-    wanted = previous_output.recall(output, places, Strips(1), sharp=sharp)
+    wanted = previous_output.resample(output, places, Strips(1), sharp=sharp)
     got, valid = recall.recall(torch.from_numpy(output[..., :3]), planes(places), sharp=sharp)
     np.testing.assert_allclose(image(got), wanted[..., :3], rtol=2e-3, atol=1e-5)
     np.testing.assert_allclose(image(valid), wanted[..., 3], atol=1e-5)
@@ -288,7 +288,7 @@ def test_history_is_rejected_where_light_changed(size):
         motion = rng.normal(0, 4, (*size, 2)).astype(np.float32)
         halves = [-(-n // 2) for n in size]
         blocks = np.empty((history_rejection.PLANES, *halves), np.float32)
-        history_rejection.compare(shown, weight, past.copy(), 0.5 + step, blocks, Scratch())
+        history_rejection.compare(shown, weight, past.copy(), 0.5 + step, blocks, Workspace())
         got = rejection.compare(
             planes(shown), planes(weight), torch.from_numpy(past)[None], scalar(0.5 + step)
         )
@@ -330,7 +330,7 @@ def test_mirrors_are_followed(size):
     now = features.luminance(cv2.blur(second.color, (3, 3)))
     wanted = second.motion
     if specular_motion.has_mirrors(second.albedo, SPEC.demodulate.black):
-        wanted = specular_motion.follow_reflections(
+        wanted = specular_motion.virtual_motion(
             second.motion, second.depth, second.albedo, now, past,
             exposure=0.3, black=SPEC.demodulate.black, strips=Strips(1),
         )  # fmt: skip
@@ -382,18 +382,18 @@ def test_eight_frames_are_prepared_as_the_runtime_does(name, size):
         buffers = frame.repaired(*map(torch.from_numpy, given), torch.full(size, -1.0), state)
         got, sample, left = graph.prepare(buffers, state)
         _same(left.mean, wanted.history.mean)
-        _same(left.guides, wanted.history.guides)
-        _same(image(got.divisor), wanted.modulator)
+        _same(left.guides, wanted.history.surface_guides)
+        _same(image(got.divisor), wanted.remodulation_albedo)
         np.testing.assert_allclose(left.numbers[0], wanted.history.exposure, rtol=1e-4)
         if past is not None:
             _same(image(sample), wanted.sample.transpose(1, 2, 0))
-            recalled = previous_output.recalled(
+            recalled = previous_output.resampled(
                 past, wanted, Strips(1), sharp=spec.decoder.sharp_recall
             )
             _same(image(got.previous), recalled[..., :3])
             _same(image(got.valid), recalled[..., 3])
         picture = np.ones((*size, 4), np.float32)
-        picture[..., :3] = np.minimum(wanted.history.mean[..., :3], 50) * wanted.modulator
+        picture[..., :3] = np.minimum(wanted.history.mean[..., :3], 50) * wanted.remodulation_albedo
         past = replace(wanted.history, output=picture)
         state = replace(left, output=torch.from_numpy(picture[..., :3].copy()))
 
