@@ -61,6 +61,14 @@ def denoise(
     ] = None,
     depth: Annotated[str | None, typer.Option(help=_FILE.format("depth"))] = None,
     motion: Annotated[str | None, typer.Option(help=_FILE.format("motion"))] = None,
+    color_b: Annotated[
+        str | None,
+        typer.Option(
+            "--color-b",
+            help="The frames rendered again with another seed, for models that learn from both: "
+            "an EXR file, or a pattern, glob or folder for a sequence.",
+        ),
+    ] = None,
     layer: Annotated[
         list[str] | None,
         typer.Option("--layer", help="ROLE=NAME: take this layer, or channels, for a role."),
@@ -186,7 +194,9 @@ def denoise(
     from stillray.io.exr.views import VIEW
     from stillray.pipeline.tiles import parse_memory
 
-    companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
+    companions = {
+        "albedo": albedo, "normal": normal, "depth": depth, "motion": motion, "color_b": color_b,
+    }  # fmt: skip
     options = ShotOptions(
         companions={role: pattern for role, pattern in companions.items() if pattern is not None},
         layers=parse_overrides(layer or []) | ({} if view is None else {VIEW: view}),

@@ -233,7 +233,10 @@ class Denoiser:
     def _plan(self, frame: Frame, layers: Collection[str], context: Context) -> Plan:
         traits = self._family.traits
         if missing := sorted(traits.required - frame.given):
-            raise InputError(f"{self.model.name} needs the buffer {missing[0]}, which is not given")
+            how = _HOW.get(missing[0], "")
+            raise InputError(
+                f"{self.model.name} needs the buffer {missing[0]}, which is not given{how}"
+            )
         tiles = plan_tiles(frame.shape, traits, self.max_memory, self.model.name)
         if layers and not traits.linear:
             raise InputError(f"layers must be none with {self.model.name}, got {', '.join(layers)}")
@@ -253,6 +256,10 @@ class Denoiser:
         self._state, self._shared = state, False
         if not self.temporal:
             self._state, self._back_buffer = None, state
+
+
+#: How a buffer that is missing comes about, where that is not plain.
+_HOW = {"color_b": ": render the same frame again with another seed"}
 
 
 def _checked_threads(threads: int | None) -> int:

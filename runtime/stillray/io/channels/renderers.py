@@ -12,6 +12,7 @@ from stillray.io.channels.motion_convention import MotionConvention
 
 ROLES = (
     "color", "albedo", "normal", "depth", "motion", "samples", "roughness", "specular_albedo",
+    "color_b",
 )  # fmt: skip
 
 _RENDERER_KEYS = {"name", "prefixed", "source", *ROLES}

@@ -34,7 +34,7 @@ _UNPROVEN = "sign and units of this motion are not verified: not used unless two
 _SHORTEST_LOOSE_NAME = 3  # letters: shorter names, N and Z, must match exactly
 _COUNTS = {
     "color": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "samples": 1,
-    "roughness": 1, "specular_albedo": 3,
+    "roughness": 1, "specular_albedo": 3, "color_b": 3,
 }  # fmt: skip
 
 
@@ -193,11 +193,15 @@ def find_alone(
 ) -> LayerMatch | None:
     """Find one buffer in a file that may hold nothing else, as plain R, G, B or X, Y, Z.
 
-    Motion in such a file is taken in `Frame`'s own convention.
+    Motion in such a file is taken in `Frame`'s own convention. A file of a second color is another
+    rendering of the frame: its color is taken, whatever its renderer calls it.
     """
     names = list(channel_names)
     chosen = {role: chosen[role]} if chosen and role in chosen else {}
-    for match in find_layers(names, chosen):
+    matches = find_layers(names, chosen)
+    if role == "color_b" and not any(match.role == role for match in matches):
+        matches = [replace(m, role=role, writes=()) for m in matches if m.role == "color"]
+    for match in matches:
         if match.role == role and match.used:
             return match
     convention = MotionConvention() if role == "motion" else None

@@ -59,6 +59,7 @@ def read_exr(
     normal: str | os.PathLike[str] | None = None,
     depth: str | os.PathLike[str] | None = None,
     motion: str | os.PathLike[str] | None = None,
+    color_b: str | os.PathLike[str] | None = None,
     layers: Mapping[str, str] | None = None,
     convention: MotionConvention | None = None,
     before: str | os.PathLike[str] | None = None,
@@ -77,6 +78,8 @@ def read_exr(
     albedo, normal, depth, motion
         Files that hold that buffer instead: under a known name, or as plain R, G, B or X, Y, Z.
         Plain motion (X, Y or R, G) is in pixels, previous minus current position, y down.
+    color_b
+        File of another rendering of the same frame, with another seed: its color is taken.
     layers
         Role to the layer or channels to take for it, as
         `stillray.io.channels.roles.parse_overrides` gives; and, of a file with several views,
@@ -101,7 +104,9 @@ def read_exr(
         samples holds what no count can be.
     """
     file = ExrFile.of_layers(path, layers)
-    companions = {"albedo": albedo, "normal": normal, "depth": depth, "motion": motion}
+    companions = {
+        "albedo": albedo, "normal": normal, "depth": depth, "motion": motion, "color_b": color_b,
+    }  # fmt: skip
     given = {role: Path(p) for role, p in companions.items() if p is not None}
     found = _color_and_more(file, layers)
     matches = [
