@@ -15,6 +15,7 @@ pytest.importorskip("flip_evaluator")
 pytest.importorskip("skimage")
 pytest.importorskip("matplotlib")
 
+import OpenImageIO
 from matplotlib import colormaps
 from playwright.sync_api import expect, sync_playwright
 
@@ -432,15 +433,87 @@ def test_nothing_is_wider_than_the_window(files, open_page, width, layout):
     assert viewer.canvas()[0] == 2 * viewer.page.locator("#view").bounding_box()["width"]
 
 
-def test_without_a_reference_only_images_are_offered(files, open_page):
+@pytest.fixture(scope="module")
+def bare(files):
+    """A page without a reference, with alpha, and with a layer that one image has."""
     page = files.folder / "bare.html"
-    arguments = [f"{files.folder}/{name}.exr" for name in ("noisy", "clean")]
-    assert main(["compare", *arguments, "-o", str(page)]) == 0
-    viewer = open_page(page)
-    assert viewer.page.get_by_role("radio").count() == 3  # the layouts
+    for name in ("noisy", "clean"):
+        image = files.images[name]
+        planes = {c: image[..., i] for i, c in enumerate("RGB")}
+        planes["A"] = np.linspace(0, 1, HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
+        if name == "clean":
+            planes |= {f"diffuse.{c}": image[..., i] / 2 for i, c in enumerate("RGB")}
+        write_channels(
+            files.folder / f"{name}_a.exr", planes, formats=dict.fromkeys(planes, "float")
+        )
+    arguments = [f"{files.folder}/{name}_a.exr" for name in ("noisy", "clean")]
+    assert main(["compare", *arguments, "--layer", "diffuse", "-o", str(page)]) == 0
+    return page
+
+
+def test_without_a_reference_images_differ_from_each_other(files, bare, open_page):
+    viewer = open_page(bare)
+    assert not viewer.page.get_by_role("radio", name="FLIP").is_visible()
     assert not viewer.page.locator("#metrics").is_visible()
-    viewer.press("m")
-    expected = shown(files.images["noisy"][4, 2], viewer.stops())
+    noisy, clean = files.images["noisy"], files.images["clean"]
+    viewer.press("1", "Shift+Digit1")
+    viewer.choose("Absolute")
+    exposed = 2.0 ** viewer.stops()
+    expected = magma(exposed * np.abs(noisy - clean).mean(-1)[4, 2], 0.25)
+    np.testing.assert_allclose(viewer.colour(*viewer.point(4, 2)), expected, atol=6)
+    viewer.page.get_by_label("Against").select_option(label="noisy_a")
+    viewer.settle()
+    assert viewer.colour(*viewer.point(4, 2)).max() < 0x20
+
+
+def test_view_transforms_are_those_of_the_standards(files, bare, open_page):
+    viewer = open_page(bare)
+    viewer.press("1", "Shift+Digit1")
+    view = viewer.page.get_by_label("View")
+    light = files.images["noisy"] * 2.0 ** viewer.stops()
+    view.select_option("srgb")
+    viewer.settle()
+    for row, column in ((4, 2), (20, 30)):
+        x = np.clip(light[row, column], 0, 1)
+        expected = 255 * np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+        np.testing.assert_allclose(viewer.colour(*viewer.point(row, column)), expected, atol=1)
+    view.select_option("aces")
+    viewer.settle()
+    shown = OpenImageIO.ImageBufAlgo.ociodisplay(
+        OpenImageIO.ImageBuf(light.astype(np.float32)), "sRGB - Display",
+        view.locator("option").last.inner_text(), "Linear Rec.709 (sRGB)",
+        unpremult=False, colorconfig="ocio://default",
+    ).get_pixels(OpenImageIO.FLOAT)  # fmt: skip
+    for row, column in ((4, 2), (20, 30), (11, 7)):
+        found = viewer.colour(*viewer.point(row, column))
+        np.testing.assert_allclose(found, 255 * shown[row, column], atol=3)
+
+
+def test_single_channels_and_alpha_are_shown_as_grey(files, bare, open_page):
+    viewer = open_page(bare)
+    viewer.press("1", "Shift+Digit1")
+    channel = viewer.page.get_by_label("Channel")
+    light = files.images["noisy"][20, 30]
+    for name, value in (
+        ("green", light[1]), ("luminance", light @ [0.2126, 0.7152, 0.0722]),
+    ):  # fmt: skip
+        channel.select_option(name)
+        viewer.settle()
+        expected = shown(np.full(3, value), viewer.stops())
+        np.testing.assert_allclose(viewer.colour(*viewer.point(20, 30)), expected, atol=1)
+    channel.select_option("alpha")
+    viewer.settle()
+    alpha = 255 * (20 * WIDTH + 30) / (HEIGHT * WIDTH - 1)
+    np.testing.assert_allclose(viewer.colour(*viewer.point(20, 30)), [alpha] * 3, atol=1)
+
+
+def test_a_layer_is_shown_and_its_absence_said(files, bare, open_page):
+    viewer = open_page(bare)
+    viewer.page.get_by_label("Layer").select_option("diffuse")
+    viewer.settle()
+    assert viewer.page.locator("#message").inner_text() == "noisy_a: no layer diffuse."
+    viewer.press("2", "Shift+Digit2")
+    expected = shown(files.images["clean"][4, 2] / 2, viewer.stops())
     np.testing.assert_allclose(viewer.colour(*viewer.point(4, 2)), expected, atol=1)
 
 

@@ -11,6 +11,7 @@ from stillray.errors import InputError
 from stillray.io.channels.roles import find_layers
 from stillray.io.exr.file import ExrFile
 from stillray.io.exr.read_write import read_exr, read_picture, write_exr
+from tests.io.odd_exr import OddPart, exr
 
 SHAPE = (20, 24)
 
@@ -43,6 +44,21 @@ PARTS = [
     ("rgba_left", "left", ("R", "G", "B", "A")),
     ("depth_right", "right", ("Z",)),
 ]
+
+
+def test_a_color_whose_channels_lie_in_parts_of_other_sizes_is_refused(tmp_path):
+    # drawn by the generator of odd files: no library writes parts of one name
+    half, path = ("half", 1), tmp_path / "f.exr"
+    parts = [
+        OddPart(channels={"R": half}, data=(0, 0, 24, 20), name="rgba"),
+        OddPart(channels={"G": half, "B": half}, data=(0, 0, 22, 10), name="rgba"),
+    ]
+    path.write_bytes(exr(parts, np.random.default_rng(0)))
+    image = read_exr(path, layers={"color": "R,rgba.G,rgba.B"}).color
+    with pytest.raises(InputError, match="color must have one data window"):
+        write_exr(
+            tmp_path / "o.exr", image, like=path, layers={"color": "R,rgba.G,rgba.B"}
+        )  # fmt: skip
 
 
 def write_channels_of_views(path):

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def compare(
     images: Annotated[
         list[str],
-        typer.Argument(metavar="IMAGE...", help="EXR files, or sequences as 'a.####.exr'."),
+        typer.Argument(metavar="IMAGE...", help="EXR or PFM files, or sequences as 'a.####.exr'."),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The HTML page to write.")],
     reference: Annotated[
@@ -36,6 +36,13 @@ def compare(
     crop: Annotated[
         str | None, typer.Option(help="Only this part, pixels.", metavar="X,Y,WIDTH,HEIGHT")
     ] = None,
+    layer: Annotated[
+        list[str] | None,
+        typer.Option("--layer", help="Show this layer too, as diffuse or depth.Z; repeatable."),
+    ] = None,
+    view: Annotated[
+        str | None, typer.Option(help="Of files with several views, as left and right: which.")
+    ] = None,
     downscale: Annotated[
         int, typer.Option(help="Show 1/N of the size; metrics are of every pixel all the same.")
     ] = 1,
@@ -44,7 +51,8 @@ def compare(
     ] = MAX_MEGAPIXELS,
 ) -> None:
     """Compare images on one self-contained HTML page."""
-    from stillray.compare.page import Region, write_page
+    from stillray.compare.carried import Region
+    from stillray.compare.page import write_page
     from stillray.compare.sources import pair
     from stillray.io.file_sequence import refuse_overwriting
 
@@ -62,7 +70,9 @@ def compare(
         output,
         sources,
         title=title,
-        region=Region(crop=_parse_crop(crop), downscale=downscale),
+        region=Region(
+            crop=_parse_crop(crop), downscale=downscale, view=view, layers=tuple(layer or ())
+        ),
         max_megapixels=max_megapixels,
     )
     _print_figures(sources, summary)

@@ -15,12 +15,14 @@ from typing import IO, Any
 
 import numpy as np
 
-from stillray.compare import MAX_MEGAPIXELS, metrics, scores
+from stillray.compare import MAX_MEGAPIXELS, metrics, scores, view_transform
+from stillray.compare.carried import Carried, Region, layers_in, read_carried, size_of
 from stillray.compare.display import display_exposure
 from stillray.compare.pixels import box_average, pack_map, pack_radiance
 from stillray.compare.sources import FrameFiles, Sources
+from stillray.compare.view_transform import aces_view
 from stillray.errors import InputError
-from stillray.io.exr.read_write import atomic_path, read_exr, read_metadata
+from stillray.io.exr.read_write import atomic_path
 
 _SCRIPTS = ("decode.js", "shade.js", "stage.js", "tables.js", "viewer.js")
 _PIXELS_HERE = "<!-- pixels -->"
@@ -28,19 +30,12 @@ _LARGEST_HALF = float(np.finfo(np.float16).max)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Region:
-    """What a page carries of an image.
+class _Page:
+    """What is the same for all frames: the region, the images' size, and whose size that is."""
 
-    Attributes
-    ----------
-    crop
-        x, y, width and height in pixels, the first pixel is (0, 0); None for the whole image.
-    downscale
-        Cells of so many pixels squared become their mean, after everything is measured.
-    """
-
-    crop: tuple[int, int, int, int] | None = None
-    downscale: int = 1
+    region: Region
+    size: tuple[int, int]
+    first: Path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +82,10 @@ def write_page(
     if sources.reference_label is not None:
         metrics.require(scores.NAMES)
     first = sources.frames[0].images[0]
-    size = _size(first)
+    size = size_of(first, region)
     _check(sources, size, region, max_megapixels)
+    _check_layers(sources, region)
+    page = _Page(region=region, size=size, first=first)
     head, tail = _template(title or " · ".join(sources.labels))
     frames: list[dict[str, Any]] = []
     measured: list[list[scores.Values]] = []
@@ -100,29 +97,27 @@ def write_page(
             for index, frame in enumerate(progress(sources.frames)):
                 follows = number is not None and frame.number == number + 1
                 facts, values, before = _write_frame(
-                    out, index, frame, before if follows else [], size, region, first
+                    out, index, frame, before if follows else [], page
                 )
                 frames.append(facts)
                 measured.append(values)
                 number = frame.number
             means = scores.means(measured)
+            transform = aces_view()
+            if transform is not None:
+                _embed(out, "transform", transform.table)
             out.write(tail(_data(sources, frames, measured, means, size, region)))
         size_bytes = temporary.stat().st_size
     return Summary(size_bytes=size_bytes, values=means)
 
 
 def _write_frame(
-    out: IO[str],
-    index: int,
-    frame: FrameFiles,
-    before: list[np.ndarray],
-    size: tuple[int, int],
-    region: Region,
-    first: Path,
+    out: IO[str], index: int, frame: FrameFiles, before: list[np.ndarray], page: _Page
 ) -> tuple[dict[str, Any], list[scores.Values], list[np.ndarray]]:
-    """Write one frame's pixels; what the page should know of it, its figures, its pictures."""
+    """Write one frame's pixels; what the page should know of it, its figures, its colors."""
     paths = [*frame.images, *([frame.reference] if frame.reference else [])]
-    pictures = [_read(path, size, region, first) for path in paths]
+    carried = [_read(path, page) for path in paths]
+    pictures = [one.color for one in carried]
     reference = pictures[-1] if frame.reference else None
     values: list[scores.Values] = [{} for _ in frame.images]
     has_flip = []
@@ -131,9 +126,9 @@ def _write_frame(
         if reference is not None and place < len(frame.images):
             pair = (before[place], before[-1]) if len(before) == len(pictures) else None
             values[place], errors = scores.measure(picture, reference, pair)
-        _embed(out, f"radiance-{index}-{place}", pack_radiance(_shrink(picture, region)))
+        _embed_picture(out, f"{index}-{place}", carried[place], page.region)
         if errors is not None:
-            _embed(out, f"flip-{index}-{place}", pack_map(_shrink(errors, region)))
+            _embed(out, f"flip-{index}-{place}", pack_map(_shrink(errors, page.region)))
         has_flip.append(errors is not None)
     facts = {
         "number": frame.number,
@@ -142,9 +137,22 @@ def _write_frame(
         "clamped": [_count_beyond_half(p) for p in pictures],
         "has_reference": reference is not None,
         "has_flip": has_flip,
+        "has_alpha": [one.alpha is not None for one in carried],
+        "layers": [[name in one.layers for name in page.region.layers] for one in carried],
         "exposure": math.log2(_exposure(pictures[-1] if reference is not None else pictures[0])),
     }
     return facts, values, pictures if reference is not None else []
+
+
+def _embed_picture(out: IO[str], name: str, carried: Carried, region: Region) -> None:
+    """Color as ``radiance-NAME``, the layers after it as ``radiance-NAME-1`` and so on, alpha."""
+    _embed(out, f"radiance-{name}", pack_radiance(_shrink(carried.color, region)))
+    for number, layer in enumerate(region.layers, 1):
+        if layer in carried.layers:
+            packed = pack_radiance(_shrink(carried.layers[layer], region))
+            _embed(out, f"radiance-{name}-{number}", packed)
+    if carried.alpha is not None:
+        _embed(out, f"alpha-{name}", pack_map(_shrink(np.nan_to_num(carried.alpha), region)))
 
 
 def _data(
@@ -180,6 +188,8 @@ def _data(
         "cropped": region.crop is not None,
         "metrics": [{"name": metric.name, "title": metric.title} for metric in shown],
         "means": cells(means),
+        "layers": ["color", *region.layers],
+        "transform": _transform_facts(),
         "frames": frames,
     }
 
@@ -207,23 +217,31 @@ def _embed(out: IO[str], name: str, data: bytes) -> None:
     out.write(f'<script type="text/plain" id="{name}">{base64.b64encode(data).decode()}</script>\n')
 
 
-def _read(path: Path, size: tuple[int, int], region: Region, first: Path) -> np.ndarray:
-    picture = read_exr(path).color
-    if picture.shape[:2] != size:
-        raise InputError(f"{path}: must have the size {size} of {first}, got {picture.shape[:2]}")
-    if region.crop is None:
-        return picture
-    x, y, width, height = region.crop
-    return np.ascontiguousarray(picture[y : y + height, x : x + width])
+def _transform_facts() -> dict[str, Any] | None:
+    transform = aces_view()
+    if transform is None:
+        return None
+    return {
+        "name": transform.name,
+        "nodes": view_transform.NODES,
+        "steepness": view_transform.STEEPNESS,
+        "stops": view_transform.STOPS,
+    }
+
+
+def _read(path: Path, page: _Page) -> Carried:
+    carried, crop = read_carried(path, page.region), page.region.crop
+    found = carried.color.shape[:2]
+    if found != page.size:
+        raise InputError(f"{path}: must have the size {page.size} of {page.first}, got {found}")
+    if crop is None:
+        return carried
+    x, y, width, height = crop
+    return carried.map(lambda image: np.ascontiguousarray(image[y : y + height, x : x + width]))
 
 
 def _shrink(picture: np.ndarray, region: Region) -> np.ndarray:
     return picture if region.downscale == 1 else box_average(picture, region.downscale)
-
-
-def _size(path: Path) -> tuple[int, int]:
-    spec = read_metadata(path)
-    return spec.height, spec.width
 
 
 def _check(sources: Sources, size: tuple[int, int], region: Region, max_megapixels: float) -> None:
@@ -240,7 +258,8 @@ def _check(sources: Sources, size: tuple[int, int], region: Region, max_megapixe
             f"images must be {scores.SMALLEST_SIDE} x {scores.SMALLEST_SIDE} pixels or more "
             f"to be measured, got {width} x {height}"
         )
-    pictures = sum(len(f.images) + (f.reference is not None) for f in sources.frames)
+    images = sum(len(f.images) + (f.reference is not None) for f in sources.frames)
+    pictures = images * (1 + len(region.layers))
 
     def megapixels(factor: int) -> float:
         return pictures * math.ceil(width / factor) * math.ceil(height / factor) / 1e6
@@ -254,6 +273,18 @@ def _check(sources: Sources, size: tuple[int, int], region: Region, max_megapixe
             f"{megapixels(region.downscale):.1f} in {pictures} pictures: --downscale {factor} "
             "fits, or take a --crop, fewer --frames or more --max-megapixels"
         )
+
+
+def _check_layers(sources: Sources, region: Region) -> None:
+    """Raise `InputError` where a layer is in no file of the first frame."""
+    frame = sources.frames[0]
+    there = frozenset[str]().union(*(layers_in(path, region) for path in frame.images))
+    for name in region.layers:
+        if name not in there:
+            raise InputError(
+                f"layer must be in one of the images, got {name}; stillray info lists what is in "
+                f"{frame.images[0]}"
+            )
 
 
 def _exposure(picture: np.ndarray) -> float:

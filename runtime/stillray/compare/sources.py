@@ -11,7 +11,7 @@ from stillray.errors import InputError
 from stillray.io.file_sequence import expand
 from stillray.io.frame_range import parse_frames
 
-_PLACEHOLDER = re.compile(r"[._-]*(?:#+|%\d*d)[._-]*")
+_PLACEHOLDER = re.compile(r"[._-]*(?:#+|@@+|%\d*d|\$F\d?)[._-]*")
 _REFERENCE_LABEL = "reference"
 
 

@@ -64,7 +64,8 @@ function makeStore(width, height, isNeeded, whenDecoded, whenFailed) {
     waiting.add(name);
     try {
       const bytes = await inflate(name);
-      const unpack = name.startsWith("flip") ? unpackMap : unpackRadiance;
+      const kind = name.split("-")[0];
+      const unpack = { radiance: unpackRadiance, transform: (plain) => plain }[kind] ?? unpackMap;
       const pixels = unpack(bytes, width, height);
       ready.set(name, pixels);
       held += pixels.byteLength;

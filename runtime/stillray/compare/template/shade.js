@@ -38,39 +38,121 @@ const MAPS = {
   flip: { ramp: makeRamp(MAGMA), ranges: [0.1, 0.25, 0.5, 1], range: 0.5 },
 };
 
-// eight bits for every half float
+// IEC 61966-2-1
+const srgb = (light) => (light <= 0.0031308 ? 12.92 * light : 1.055 * light ** (1 / 2.4) - 0.055);
+const CURVES = { power: (light) => light ** (1 / GAMMA), srgb };
+
+// eight bits for every half float, by one curve for all channels
 const displayTable = (() => {
   const table = new Uint8Array(65536);
   let made = null;
-  return (stops) => {
-    if (made !== stops) {
+  return (stops, curve = "power") => {
+    if (made !== `${curve} ${stops}`) {
       const gain = 2 ** stops;
       for (let code = 0; code < 65536; code++) {
-        const light = Math.min(Math.max(HALF[code] * gain, 0), 1);
-        table[code] = Math.round(255 * light ** (1 / GAMMA));
+        table[code] = Math.round(255 * CURVES[curve](Math.min(Math.max(HALF[code] * gain, 0), 1)));
       }
-      made = stops;
+      made = `${curve} ${stops}`;
     }
     return table;
   };
 })();
+
+// A view transform that mixes channels: a cube of eight-bit colours, read between its nodes. What
+// view_transform.py made; `steepness` and `stops` say where the nodes lie.
+function makeCube(bytes, { nodes, steepness, stops }) {
+  const plane = nodes ** 3;
+  const last = nodes - 1;
+  let made = null;
+  const places = new Float32Array(65536);
+  const colour = new Float64Array(3);
+  return (exposure) => {
+    if (made !== exposure) {
+      const gain = steepness * 2 ** exposure;
+      for (let code = 0; code < 65536; code++) {
+        const at = (last / stops) * Math.log2(Math.max(HALF[code] * gain, 0) + 1);
+        places[code] = Math.min(at, last);
+      }
+      made = exposure;
+    }
+    return (red, green, blue) => {
+      const x = Math.min(Math.floor(places[red]), last - 1);
+      const y = Math.min(Math.floor(places[green]), last - 1);
+      const z = Math.min(Math.floor(places[blue]), last - 1);
+      const [right, down, far] = [places[red] - x, places[green] - y, places[blue] - z];
+      colour.fill(0);
+      for (let near = 0; near < 8; near++) {
+        const [i, j, k] = [near >> 2, (near >> 1) & 1, near & 1];
+        const weight = (i ? right : 1 - right) * (j ? down : 1 - down) * (k ? far : 1 - far);
+        const node = ((x + i) * nodes + y + j) * nodes + z + k;
+        for (let channel = 0; channel < 3; channel++) {
+          colour[channel] += weight * bytes[channel * plane + node];
+        }
+      }
+      for (let channel = 0; channel < 3; channel++) colour[channel] = Math.round(colour[channel]);
+      return colour;
+    };
+  };
+}
+
+// What gives eight bits each of red, green and blue for the codes of one pixel: good until it is
+// asked again. `table`, where every channel goes its own way.
+function makeDisplay(curve, stops, cube) {
+  if (curve === "aces") return cube(stops);
+  const table = displayTable(stops, curve);
+  return Object.assign((...codes) => codes.map((code) => table[code]), { table });
+}
+
+const LUMINANCE = [0.2126, 0.7152, 0.0722]; // Rec. 709
 
 const isBad = (a, b, c) => {
   const all = 0x7c00; // the exponent of NaN and infinity
   return (a & all) === all || (b & all) === all || (c & all) === all;
 };
 
-function shadeImage(codes, stops, out) {
-  const table = displayTable(stops);
+function shadeImage(codes, display, out) {
+  const { table } = display;
   const count = out.length;
   for (let i = 0; i < count; i++) {
     const red = codes[i];
     const green = codes[count + i];
     const blue = codes[2 * count + i];
-    out[i] = isBad(red, green, blue)
-      ? BAD_IN_IMAGE
-      : 0xff000000 | (table[blue] << 16) | (table[green] << 8) | table[red];
+    if (isBad(red, green, blue)) out[i] = BAD_IN_IMAGE;
+    else if (table) out[i] = 0xff000000 | (table[blue] << 16) | (table[green] << 8) | table[red];
+    else out[i] = pack(...display(red, green, blue));
   }
+}
+
+// One channel, or luminance, as grey.
+function shadeChannel(codes, channel, display, out) {
+  const count = out.length;
+  const toHalf = channel === "luminance" ? nearestHalf : null;
+  for (let i = 0; i < count; i++) {
+    const found = [codes[i], codes[count + i], codes[2 * count + i]];
+    if (isBad(...found)) out[i] = BAD_IN_IMAGE;
+    else {
+      const grey = toHalf
+        ? toHalf(LUMINANCE.reduce((sum, share, at) => sum + share * HALF[found[at]], 0))
+        : found["red green blue".split(" ").indexOf(channel)];
+      out[i] = pack(...display(grey, grey, grey));
+    }
+  }
+}
+
+// The code of the half float nearest to a value; below 0 counts as 0.
+function nearestHalf(value) {
+  let [low, high] = [0, 0x7bff];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (HALF[middle] < value) low = middle + 1;
+    else high = middle;
+  }
+  return low > 0 && value - HALF[low - 1] < HALF[low] - value ? low - 1 : low;
+}
+
+// Coverage, in steps of 1/255: no light, so neither exposed nor curved.
+function shadeAlpha(steps, out) {
+  for (let i = 0; i < out.length; i++) out[i] = pack(steps[i], steps[i], steps[i]);
 }
 
 // One figure a pixel, the mean over the channels; not a number where a pixel is not finite.

@@ -46,9 +46,9 @@ function figure(value) {
 }
 
 // the rows of the pixel table are made once and filled often
-function makePixelTable(table, labels, hasReference, hasFlip) {
+function makePixelTable(table, labels, hasErrors, hasFlip) {
   const titles = ["R", "G", "B"];
-  if (hasReference) titles.push("error", "relative");
+  if (hasErrors) titles.push("error", "relative");
   if (hasFlip) titles.push("FLIP");
   table.tHead.replaceChildren(headRow(titles));
   const rows = labels.map((label) => {
@@ -100,9 +100,12 @@ function notes(data) {
       told.push("Flicker: mean error of the change from frame to frame.");
     }
     told.push("Error of a pixel: mean absolute difference of its channels, not exposed.");
-    told.push("Signed: blue is darker than the reference, orange is brighter.");
+    told.push("Signed: blue is darker than what it is held against, orange is brighter.");
   } else if (data.labels.length === data.images) {
-    told.push("No reference, so no figures and no error maps.");
+    told.push("No reference, so no figures; differences are from the image that is chosen.");
+  }
+  if (data.transform) {
+    told.push(`${data.transform.name}: OpenColorIO's, of light with the primaries of Rec. 709.`);
   }
   return told.join(" ");
 }

@@ -10,6 +10,7 @@ const stage = find("stage");
 const context = canvas.getContext("2d", { alpha: false });
 const LAYOUTS = ["slider", "pair", "all"];
 const MODES = ["image", "absolute", "relative", "signed", "flip"];
+const CHANNELS = ["rgb", "red", "green", "blue", "luminance", "alpha"];
 const FRAMES_PER_SECOND = 12;
 
 const startExposure = (frame) => Math.round(frame.exposure * 10) / 10;
@@ -21,6 +22,10 @@ const state = {
   split: 0.5,
   exposure: startExposure(data.frames.find((frame) => frame.has_reference) ?? data.frames[0]),
   ranges: Object.fromEntries(Object.entries(MAPS).map(([mode, map]) => [mode, map.range])),
+  base: reference ?? data.labels.length - 1, // what errors are differences from
+  layer: 0,
+  channel: "rgb",
+  transform: "power",
   frame: 0,
   average: "mean",
   place: makePlace(width, height),
@@ -32,14 +37,14 @@ const frame = () => data.frames[state.frame];
 const fillPixel = makePixelTable(
   find("pixel"),
   data.labels,
-  reference !== null,
+  data.labels.length > 1,
   data.frames.some((each) => each.has_flip.some(Boolean)),
 );
 
 // ---- pictures -------------------------------------------------------------------------------
 
-const isOfFrame = (name) => name.split("-")[1] === String(state.frame);
-const get = makeStore(width, height, isOfFrame, schedule, (error) => {
+const isNeeded = (name) => name === "transform" || name.split("-")[1] === String(state.frame);
+const get = makeStore(width, height, isNeeded, schedule, (error) => {
   console.error(error);
   say(
     "DecompressionStream" in window
@@ -47,7 +52,7 @@ const get = makeStore(width, height, isOfFrame, schedule, (error) => {
       : "This browser is too old to unpack the pixels: it has no DecompressionStream.",
   );
 });
-const radiance = (image) => get(`radiance-${state.frame}-${image}`);
+const radiance = (image) => get(`radiance-${state.frame}-${image}${state.layer ? `-${state.layer}` : ""}`);
 const shadedPictures = new Map(); // image -> canvas, and what it shows
 
 function say(text) {
@@ -55,10 +60,57 @@ function say(text) {
   find("message").hidden = !text;
 }
 
+function isInFile(image) {
+  if (image === reference && !frame().has_reference) return false;
+  return state.layer === 0 || frame().layers[image][state.layer - 1];
+}
+
 function isThere(image) {
-  const { mode } = state;
-  if (mode === "image") return image !== reference || frame().has_reference;
-  return frame().has_reference && (mode !== "flip" || image === reference || frame().has_flip[image]);
+  const { mode, channel, base } = state;
+  if (!isInFile(image)) return false;
+  if (mode === "image") return channel !== "alpha" || frame().has_alpha[image];
+  if (mode !== "flip") return isInFile(base);
+  return state.layer === 0 && frame().has_reference && (image === reference || frame().has_flip[image]);
+}
+
+// Null until the table of the view transform is unpacked.
+let cube = null;
+function display() {
+  if (state.transform === "aces" && !cube) {
+    const bytes = get("transform");
+    if (!bytes) return null;
+    cube = makeCube(bytes, data.transform);
+  }
+  return makeDisplay(state.transform, state.exposure, cube);
+}
+
+// Draws the image as it is, or one channel of it; whether its pixels are there.
+function shadeAsItIs(image, out) {
+  const { channel } = state;
+  if (channel === "alpha") {
+    const steps = get(`alpha-${state.frame}-${image}`);
+    if (steps) shadeAlpha(steps, out);
+    return Boolean(steps);
+  }
+  const [codes, show] = [radiance(image), display()];
+  if (!codes || !show) return false;
+  if (channel === "rgb") shadeImage(codes, show, out);
+  else shadeChannel(codes, channel, show, out);
+  return true;
+}
+
+// The same of an error map.
+function shadeAsError(image, range, out) {
+  const { mode, base } = state;
+  if (mode === "flip") {
+    const steps = image === reference ? new Uint8Array(count) : get(`flip-${state.frame}-${image}`);
+    if (steps) shadeFlip(steps, range, out);
+    return Boolean(steps);
+  }
+  const [codes, wanted] = [radiance(image), radiance(base)];
+  if (!codes || !wanted) return false;
+  shadeErrors(mode, codes, wanted, state.exposure, RELATIVE_FLOOR / 2 ** frame().exposure, range, out);
+  return true;
 }
 
 // The image as it is to be shown; null until its pixels are there, undefined where it never is.
@@ -66,13 +118,11 @@ function shaded(image) {
   const { mode } = state;
   if (!isThere(image)) return undefined;
   const range = state.ranges[mode];
-  const key = [state.frame, mode, mode === "relative" || mode === "flip" || state.exposure, range].join();
+  const exposed = mode === "relative" || mode === "flip" || state.exposure;
+  const look = mode === "image" ? [state.channel, state.transform] : [state.base];
+  const key = [state.frame, state.layer, mode, exposed, range, ...look].join();
   let known = shadedPictures.get(image);
   if (known?.key === key) return known.picture;
-  const isFlip = mode === "flip";
-  const codes = isFlip ? image === reference || get(`flip-${state.frame}-${image}`) : radiance(image);
-  const wanted = mode === "image" || isFlip || radiance(reference);
-  if (!codes || !wanted) return null;
   if (!known) {
     const picture = document.createElement("canvas");
     [picture.width, picture.height] = [width, height];
@@ -81,9 +131,7 @@ function shaded(image) {
     shadedPictures.set(image, known);
   }
   const out = new Uint32Array(known.pixels.data.buffer);
-  if (mode === "image") shadeImage(codes, state.exposure, out);
-  else if (isFlip) shadeFlip(codes === true ? new Uint8Array(count) : codes, range, out);
-  else shadeErrors(mode, codes, wanted, state.exposure, RELATIVE_FLOOR / 2 ** frame().exposure, range, out);
+  if (!(mode === "image" ? shadeAsItIs(image, out) : shadeAsError(image, range, out))) return null;
   known.surface.putImageData(known.pixels, 0, 0);
   known.key = key;
   return known.picture;
@@ -136,9 +184,17 @@ function draw() {
 }
 
 function missing(pictures) {
-  if (!frame().has_reference) return "This frame has no reference.";
-  const labels = panes.filter((_, i) => pictures[i] === undefined).map((p) => data.labels[p.image]);
-  return `No FLIP of ${[...new Set(labels)].join(", ")}: it has NaN or infinite pixels.`;
+  const without = panes.filter((_, i) => pictures[i] === undefined).map((pane) => pane.image);
+  const { mode, base, layer } = state;
+  const needed = mode === "image" ? without : [...without, base];
+  if (needed.includes(reference) && !frame().has_reference) return "This frame has no reference.";
+  const bare = needed.filter((image) => !isInFile(image));
+  const names = (images) => [...new Set(images.map((image) => data.labels[image]))].join(", ");
+  if (bare.length) return `${names(bare)}: no layer ${data.layers[layer]}.`;
+  if (mode === "image") return `${names(without)}: no alpha.`;
+  return layer
+    ? "FLIP is of the color alone."
+    : `No FLIP of ${names(without)}: it has NaN or infinite pixels.`;
 }
 
 function drawOverlays() {
@@ -208,24 +264,25 @@ function showPixel() {
   const cell = data.downscale > 1 ? `, mean of ${data.downscale} × ${data.downscale}` : "";
   find("pixel-title").textContent = `Pixel ${x}, ${y}${cell}${state.picked ? ", kept" : ""}`;
   const at = pixel.y * width + pixel.x;
-  const wanted = frame().has_reference && radiance(reference);
-  const table = displayTable(state.exposure);
+  const wanted = isInFile(state.base) && radiance(state.base);
+  const show = display();
   fillPixel(
     data.labels.map((_, image) => {
-      if (image === reference && !frame().has_reference) return {};
+      if (!isInFile(image)) return {};
       const codes = radiance(image);
       if (!codes) return {};
       const found = [0, 1, 2].map((channel) => codes[channel * count + at]);
       const figures = found.map((code) => HALF[code]);
-      if (wanted && image !== reference) {
+      if (wanted && image !== state.base) {
         figures.push(ERRORS.absolute(codes, wanted, count, at, 1));
         figures.push(
           ERRORS.relative(codes, wanted, count, at, 1, RELATIVE_FLOOR / 2 ** frame().exposure),
         );
-        const flip = frame().has_flip[image] && get(`flip-${state.frame}-${image}`);
+        const isFlip = state.base === reference && state.layer === 0 && frame().has_flip[image];
+        const flip = isFlip && get(`flip-${state.frame}-${image}`);
         if (flip) figures.push(flip[at] / 255);
       }
-      return { figures, colour: `rgb(${found.map((code) => table[code]).join(" ")})` };
+      return { figures, colour: show ? `rgb(${show(...found).join(" ")})` : "transparent" };
     }),
   );
 }
@@ -441,7 +498,8 @@ stage.addEventListener("keydown", (event) => {
 });
 
 const next = (list, value) => list[(list.indexOf(value) + 1) % list.length];
-const modes = () => (reference === null ? ["image"] : MODES);
+const modes = () =>
+  MODES.filter((mode) => (mode === "flip" ? reference !== null : mode === "image" || data.labels.length > 1));
 const KEYS = {
   x: () => {
     const { left, right } = state;
@@ -449,6 +507,8 @@ const KEYS = {
     setImage("right", left);
   },
   l: () => setChoice("layout", next(LAYOUTS, state.layout)),
+  c: () => setLook("channel", next(channels, state.channel)),
+  v: () => setLook("transform", next(transforms, state.transform)),
   m: () => setChoice("mode", next(modes(), state.mode)),
   e: (event) => setExposure(state.exposure + (event.shiftKey ? -0.5 : 0.5)),
   0: () => setExposure(startExposure(frame())),
@@ -488,6 +548,34 @@ for (const side of ["left", "right"]) {
   find(side).addEventListener("change", () => setImage(side, Number(find(side).value)));
   setImage(side, state[side]);
 }
+const channels = CHANNELS.filter(
+  (channel) => channel !== "alpha" || data.frames.some((each) => each.has_alpha.some(Boolean)),
+);
+const transforms = ["power", "srgb", ...(data.transform ? ["aces"] : [])];
+const NAMES = { rgb: "RGB", power: "Power 2.2", srgb: "sRGB", aces: data.transform?.name };
+const named = (value) => NAMES[value] ?? value[0].toUpperCase() + value.slice(1);
+
+function setLook(name, value) {
+  state[name] = value;
+  find(name).value = value;
+  schedule();
+}
+
+for (const [name, options] of [
+  ["channel", channels.map((channel) => [channel, named(channel)])],
+  ["transform", transforms.map((transform) => [transform, named(transform)])],
+  ["layer", data.layers.map((layer, index) => [index, layer])],
+  ["base", data.labels.map((label, index) => [index, label])],
+]) {
+  find(name).append(...options.map(([value, text]) => element("option", text, { value })));
+  const isNumber = typeof options[0][0] === "number";
+  find(name).addEventListener("change", () => {
+    setLook(name, isNumber ? Number(find(name).value) : find(name).value);
+  });
+  setLook(name, state[name]);
+}
+find("layer-choice").hidden = data.layers.length < 2;
+find("base-choice").hidden = data.labels.length < 3 && reference !== null;
 find("exposure").addEventListener("input", () => setExposure(Number(find("exposure").value)));
 find("exposure-reset").addEventListener("click", () => KEYS[0]());
 find("zoom-fit").addEventListener("click", fit);
@@ -505,7 +593,8 @@ find("play").addEventListener("click", () => setPlaying(!state.playing));
 const isSequence = data.frames.length > 1;
 find("time").hidden = find("average").hidden = !isSequence;
 for (const each of document.querySelectorAll(".of-time")) each.hidden = !isSequence;
-find("mode").hidden = reference === null;
+find("mode").hidden = data.labels.length < 2;
+find("flip-choice").hidden = reference === null;
 find("figures").hidden = data.metrics.length === 0;
 const measured = data.frames.filter((each) => each.has_reference).length;
 find("notes").textContent = notes(data);

@@ -411,6 +411,7 @@ def _replaced(source: ExrFile, view: CleanView) -> dict[tuple[int, str], np.ndar
     color = [m for m in find_layers(source.channels, view.layers) if m.role == "color"]
     if not color or not _same_size(source.window(color[0].writes[0]), view.image):
         return {}
+    _require_window(source, "color", color[0].writes, source.window(color[0].writes[0]))
     planes = {source.channels[name]: view.image[..., i] for i, name in enumerate(color[0].writes)}
     if view.lights:
         planes |= _replaced_lights(source, color[0], view.lights, view.layers)
@@ -549,11 +550,16 @@ def _replaced_lights(
     """Part and channel to plane, of filtered layers."""
     replaced = {}
     for name, channels in _lights(file, tuple(lights), layers).items():
-        if file.window(channels[0]) != file.window(color.writes[0]):
-            raise InputError(f"{file.path}: {name} must have the data window of the color")
+        _require_window(file, name, channels, file.window(color.writes[0]))
         for i, channel in enumerate(channels):
             replaced[file.channels[channel]] = lights[name][..., i]
     return replaced
+
+
+def _require_window(file: ExrFile, name: str, channels: Iterable[str], window: Window) -> None:
+    """Raise `InputError` where channels lie in parts with another data window."""
+    if any(file.window(channel) != window for channel in channels):
+        raise InputError(f"{file.path}: {name} must have one data window, that of the color")
 
 
 def _require_channels(file: ExrFile, names: Iterable[str]) -> None:
