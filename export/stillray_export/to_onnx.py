@@ -23,7 +23,7 @@ from stillray.errors import InputError
 from stillray.families.registry import kernels_of
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec, from_json
-from stillray.models.registry import PROVENANCE_KEY, SPEC_KEY, WHOLE_SUFFIX, require_fit
+from stillray.models.registry import PROVENANCE_KEY, SPEC_KEY, WHOLE_SUFFIX, find_model, require_fit
 from stillray.models.session import checked
 from stillray_export import parity
 from stillray_export.fuse import fuse
@@ -191,15 +191,30 @@ def to_model(
 
 
 def main(
-    run: Annotated[Path, typer.Argument(help="Folder of a training run.")],
-    out: Annotated[Path, typer.Option(help="Folder for the .onnx files.")] = Path(
-        "runtime/stillray/models"
-    ),
+    run: Annotated[
+        Path,
+        typer.Argument(help="Folder of a training run; with --frame-graph a model, as --model."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the .onnx files: that of the models, or with --frame-graph this one."
+        ),
+    ] = None,
     validation: Annotated[
         Path | None, typer.Option(help="Sequences with references: scores go into the files.")
     ] = None,
+    frame_graph: Annotated[
+        bool, typer.Option("--frame-graph", help="Write NAME.frame.onnx of a model that is there.")
+    ] = False,
 ) -> None:
-    """Export a trained run."""
+    """Export a trained run, or all stages of a model as one graph a frame."""
+    if frame_graph:
+        from stillray_export.frame_graph.export import write
+
+        print(write(find_model(str(run)), out or Path()))
+        return
+    out = out or Path("runtime/stillray/models")
     from safetensors import safe_open
 
     checkpoint = run / CHECKPOINT

@@ -31,7 +31,8 @@ def frame_exposure(light_nchw: Tensor, options: Transfer) -> Tensor:
     """
     height, width = light_nchw.shape[2:]
     rows, columns = ((size / _BLOCK).floor().clamp(min=1) for size in size_of(light_nchw))
-    cells = (-(-height // _BLOCK), -(-width // _BLOCK))
+    # not the negative of a negative: a graph's division of integers rounds towards zero
+    cells = ((height + _BLOCK - 1) // _BLOCK, (width + _BLOCK - 1) // _BLOCK)
     blocks = area_means(light_nchw, cells, (rows, columns), _TAPS)[0, 0]
     counted = (torch.arange(cells[0], dtype=torch.float32) < rows)[:, None] & (
         torch.arange(cells[1], dtype=torch.float32) < columns

@@ -14,7 +14,7 @@ from stillray_export.frame_graph.camera import Camera, camera_motion, place
 from stillray_export.frame_graph.exposure import size_of
 from stillray_export.frame_graph.light import is_black, luminance, tone_map
 from stillray_export.frame_graph.lookup import grid, linear_taps, mean_of, pixels_of, planes_like
-from stillray_export.frame_graph.windows import every_second, mean_around
+from stillray_export.frame_graph.windows import every_second, mean_around, whole_blocks
 
 _LEVEL = 4  # of the pixels along an axis, one is looked at for mirrors
 
@@ -48,7 +48,7 @@ def follow_reflections(
     height, width = depth.shape[2:]
     black = is_black(albedo, options)
     wanted = _has_mirrors(black, albedo)
-    here, before = (F.avg_pool2d(tone_map(light, exposure), 2) for light in lights)
+    here, before = (whole_blocks(tone_map(light, exposure)) for light in lights)
     depth_here = every_second(depth)
     shows = every_second(black) * (depth_here > 0).to(torch.float32)
     camera = camera_motion(motion, depth)
@@ -62,7 +62,7 @@ def follow_reflections(
 def _doubled(planes: Tensor, height: int, width: int) -> Tensor:
     """Every pixel four times; zeros in the last row and column of odd sizes."""
     large = F.interpolate(planes, scale_factor=2.0, mode="nearest")
-    return F.pad(large, (0, width % 2, 0, height % 2))
+    return F.pad(large, (0, width % 2, 0, height % 2))[..., :height, :width]
 
 
 def _has_mirrors(black: Tensor, albedo: Tensor) -> Tensor:

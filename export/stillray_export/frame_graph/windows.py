@@ -59,9 +59,17 @@ def enlarged(planes_nchw: Tensor, factor: int, height: int, width: int) -> Tenso
 
 
 def every_second(planes_nchw: Tensor) -> Tensor:
-    """Every second pixel of every second row, those of whole 2x2 blocks."""
+    """Every second pixel of every second row, those of whole 2x2 blocks; a lone pixel itself."""
     height, width = planes_nchw.shape[2:]
-    return planes_nchw[..., : height // 2 * 2 : 2, : width // 2 * 2 : 2]
+    rows, columns = height // 2 * 2 + 1 // height, width // 2 * 2 + 1 // width
+    return planes_nchw[..., :rows:2, :columns:2]
+
+
+def whole_blocks(planes_nchw: Tensor) -> Tensor:
+    """Means of whole 2x2 blocks, of the size of `every_second`."""
+    height, width = planes_nchw.shape[2:]
+    rows, columns = height // 2 + 1 // height, width // 2 + 1 // width
+    return halved(planes_nchw)[..., :rows, :columns]
 
 
 def area_means(

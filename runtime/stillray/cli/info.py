@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -41,11 +41,18 @@ def info(
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    graph: Annotated[
+        bool,
+        typer.Option("--graph", help="FILE is a frame graph: what it takes and gives."),
+    ] = False,
 ) -> None:
     """Show the channels found, their roles, and the stages that will run.
 
     Where a file cannot be denoised, it shows what there is in it before it says why.
     """
+    if graph:
+        _show(_graph(file), as_json, _print_graph)
+        return
     from stillray.io.channels.roles import parse_overrides
     from stillray.io.exr.read_write import ExrFile
     from stillray.io.exr.views import VIEW
@@ -66,6 +73,34 @@ def info(
         _show({"file": printable(str(paths[0])), **_stored(opened)}, as_json, _print_stored)
         raise
     _show(facts, as_json, _print_facts)
+
+
+def _graph(name: str) -> dict[str, Any]:
+    from stillray.models.frame_graph import find_frame_graph, read_ports
+
+    path = find_frame_graph(name)
+    return {"file": printable(str(path)), **asdict(read_ports(path))}
+
+
+def _print_graph(facts: dict[str, Any]) -> None:
+    from rich.table import Table
+
+    from stillray.cli.output import console
+
+    out = console()
+    out.print(f"{facts['file']}: float32 tensors, no batch axis")
+    for kind in ("inputs", "outputs"):
+        columns = ("name", "shape", "unit", "convention")
+        more = ("neutral", "next") if kind == "inputs" else ()
+        table = Table(*columns, *more, box=None, pad_edge=False)
+        for port in facts[kind]:
+            table.add_row(*(port[column] for column in (*columns, *more)))
+        out.print(f"\n{kind}:")
+        out.print(table)
+    out.print(
+        "\nAn input with a neutral value may be left out: a tensor with 1 in the place of height "
+        "and width that holds it. A state's next is its input for the next frame."
+    )
 
 
 def _show(

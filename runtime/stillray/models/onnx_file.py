@@ -165,13 +165,30 @@ def parse_onnx(data: bytes) -> OnnxFile:
     for opset in model["opset_import"]:
         if domain := wire.decode("operator set", opset, _OPSET).get("domain", ""):
             raise WireError(f"it needs operators of {domain}")
+    metadata = _metadata(wire, model)
+    return OnnxFile(data=data, metadata=metadata, graph=_graph(wire, model["graph"]))
+
+
+def metadata_of(data: bytes) -> dict[str, str]:
+    """The metadata of a model alone, whatever its graph is.
+
+    Raises
+    ------
+    WireError
+        It is not ONNX.
+    """
+    wire = Wire()
+    return _metadata(wire, wire.decode("model", memoryview(data), _MODEL))
+
+
+def _metadata(wire: Wire, model: Mapping[str, Any]) -> dict[str, str]:
     metadata: dict[str, str] = {}
     for entry in model["metadata_props"]:
         pair = wire.decode("metadata", entry, _ENTRY)
         if pair.get("key", "") in metadata:
             raise WireError(f"its metadata hold {pair.get('key', '')} twice")
         metadata[pair.get("key", "")] = pair.get("value", "")
-    return OnnxFile(data=data, metadata=metadata, graph=_graph(wire, model["graph"]))
+    return metadata
 
 
 def _graph(wire: Wire, data: memoryview) -> Graph:

@@ -13,6 +13,7 @@ from typing import Any
 from stillray.errors import InputError
 from stillray.model_spec.loader import FusedKernels, ModelSpec, SpecError, from_json
 from stillray.model_spec.network_outputs import network_outputs
+from stillray.models.frame_graph import FRAME_SUFFIX
 from stillray.models.network_graph import Interface
 from stillray.models.session import read_checked
 
@@ -95,7 +96,8 @@ def _folder() -> Path:
 def _files() -> dict[str, Path]:
     """Packaged models by name."""
     paths = sorted(_folder().glob("*.onnx"))
-    return {path.stem: path for path in paths if not path.stem.endswith(WHOLE_SUFFIX)}
+    engines = (WHOLE_SUFFIX, FRAME_SUFFIX)
+    return {path.stem: path for path in paths if not path.stem.endswith(engines)}
 
 
 def read_model(path: Path) -> ModelInfo:
@@ -106,11 +108,12 @@ def read_model(path: Path) -> ModelInfo:
     InputError
         The file is missing, is not ONNX, or holds what `stillray-export` does not write.
     """
-    if path.name.endswith(f"{WHOLE_SUFFIX}.onnx"):
-        raise InputError(
-            f"{path}: is for engines that embed ONNX Runtime; the model is "
-            f"{path.name.removesuffix(f'{WHOLE_SUFFIX}.onnx')}.onnx beside it"
-        )
+    for suffix in (WHOLE_SUFFIX, FRAME_SUFFIX):
+        if path.name.endswith(f"{suffix}.onnx"):
+            raise InputError(
+                f"{path}: is for engines that embed ONNX Runtime; the model is "
+                f"{path.name.removesuffix(f'{suffix}.onnx')}.onnx"
+            )
     file, interface = read_checked(path)
     for key in (SPEC_KEY, PROVENANCE_KEY):
         if key not in file.metadata:

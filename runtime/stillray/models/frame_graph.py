@@ -1,0 +1,122 @@
+"""What a frame graph's file says of its inputs and outputs; nothing of it is run.
+
+A frame graph is one ONNX file for a whole frame, with all stages and the state, for engines that
+embed ONNX Runtime themselves; ``stillray-export NAME --frame-graph`` makes it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from stillray.errors import InputError
+from stillray.models.onnx_file import metadata_of, read_bytes
+from stillray.models.protobuf import WireError
+
+#: Metadata of the file that holds inputs and outputs as JSON.
+PORTS_KEY = "stillray.ports"
+#: Before ``.onnx`` in its name.
+FRAME_SUFFIX = ".frame"
+_MAX_CHARACTERS = 2**18
+_MAX_PORTS = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class Port:
+    """One input or output of a frame graph, float32.
+
+    Attributes
+    ----------
+    name
+        In the graph.
+    shape
+        Of numbers and names of sizes, as text.
+    unit, convention
+        What its numbers mean.
+    neutral
+        Of an input that may be left out: the value that says so, in every element; a tensor with
+        1 in the place of height and width does. Empty: it must be given.
+    next
+        Of a state: the output that is this input for the next frame.
+    """
+
+    name: str
+    shape: str
+    unit: str
+    convention: str
+    neutral: str = ""
+    next: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ports:
+    """All inputs and outputs of a frame graph, in order."""
+
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
+
+    def to_json(self) -> str:
+        """As a file's metadata hold them."""
+        return json.dumps(dataclasses.asdict(self))
+
+
+def find_frame_graph(name: str) -> Path:
+    """The file of a frame graph, by its path or by its model's name in this folder.
+
+    Raises
+    ------
+    InputError
+        There is none: the message says how to make it.
+    """
+    path = Path(name)
+    if path.suffix != ".onnx":
+        path = Path(f"{name}{FRAME_SUFFIX}.onnx")
+    if not path.is_file():
+        model = path.name.removesuffix(".onnx").removesuffix(FRAME_SUFFIX)
+        raise InputError(
+            f"{path}: no such frame graph; stillray-export {model} --frame-graph makes it"
+        )
+    return path
+
+
+def read_ports(path: Path) -> Ports:
+    """The inputs and outputs that a frame graph's file tells of.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is not ONNX, or tells of none.
+    """
+    try:
+        metadata = metadata_of(read_bytes(path))
+    except WireError as error:
+        raise InputError(f"{path}: not a usable ONNX model: {error}") from None
+    if PORTS_KEY not in metadata:
+        raise InputError(f"{path}: not a frame graph: no {PORTS_KEY} in its metadata")
+    try:
+        return _ports(metadata[PORTS_KEY])
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: its inputs and outputs cannot be read: {error}") from None
+
+
+def _ports(text: str) -> Ports:
+    if len(text) > _MAX_CHARACTERS:
+        raise ValueError(f"they have more than {_MAX_CHARACTERS} characters")
+    told = json.loads(text)
+    if not isinstance(told, dict) or set(told) != {"inputs", "outputs"}:
+        raise ValueError("they must be a table of inputs and outputs")
+    return Ports(inputs=_listed(told["inputs"]), outputs=_listed(told["outputs"]))
+
+
+def _listed(ports: object) -> tuple[Port, ...]:
+    if not isinstance(ports, list) or len(ports) > _MAX_PORTS:
+        raise ValueError(f"they must be lists of {_MAX_PORTS} at most")
+    names = {field.name for field in dataclasses.fields(Port)}
+    for port in ports:
+        if not isinstance(port, dict) or set(port) != names:
+            raise ValueError(f"each must have {', '.join(sorted(names))}")
+        if not all(isinstance(text, str) and text.isprintable() for text in port.values()):
+            raise ValueError("each must be told in printable text")
+    return tuple(Port(**port) for port in ports)
