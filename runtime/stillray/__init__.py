@@ -7,13 +7,14 @@ from stillray.version import __version__
 
 if TYPE_CHECKING:
     from stillray.batch.api import ShotOptions, denoise_shot
-    from stillray.errors import InputError
+    from stillray.errors import Cancelled, InputError
     from stillray.frame import Frame
     from stillray.io.exr.read_write import read_exr, write_exr
     from stillray.models.registry import list_models
     from stillray.pipeline.denoiser import Denoiser, denoise
 
 __all__ = [
+    "Cancelled",
     "Denoiser",
     "Frame",
     "InputError",
@@ -28,6 +29,7 @@ __all__ = [
 
 # Names are fetched when first used: importing the package loads neither NumPy nor OpenCV.
 _HOME = {
+    "Cancelled": "stillray.errors",
     "Denoiser": "stillray.pipeline.denoiser",
     "Frame": "stillray.frame",
     "InputError": "stillray.errors",

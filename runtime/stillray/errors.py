@@ -1,4 +1,4 @@
-"""The one error a user sees for input that cannot be used, and how it reaches a terminal."""
+"""What can be raised: input that cannot be used, how it reaches a terminal; a cancelled frame."""
 
 from __future__ import annotations
 
@@ -12,6 +12,10 @@ class InputError(ValueError):
 
     def __init__(self, message: str) -> None:
         super().__init__(printable(message))
+
+
+class Cancelled(Exception):  # noqa: N818
+    """No error, the caller asked for it: a frame was ended, the history is as before the call."""
 
 
 def printable(text: str) -> str:

@@ -18,6 +18,7 @@ _CHANNELS = {
     "samples": 1,
     "roughness": 1,
     "specular_albedo": 3,
+    "alpha": 1,
 }
 #: Samples a pixel that a frame may have; more is taken for a mistake.
 MOST_SAMPLES = 1e9
@@ -32,8 +33,9 @@ class Frame:
 
     Parameters
     ----------
-    color : (h, w, 3)
-        Noisy scene-linear radiance; may hold NaN, infinities and negatives.
+    color : (h, w, 3) or (h, w, 4)
+        Noisy scene-linear radiance; may hold NaN, infinities and negatives. A fourth channel is
+        taken for ``alpha``.
     albedo : (h, w, 3), optional
         Surface colour in [0, 1]; 0 where nothing was hit.
     normal : (h, w, 3), optional
@@ -56,6 +58,9 @@ class Frame:
         Samples a pixel that color is the mean of: one number above 0, or a map where they differ,
         as with adaptive sampling. A pixel of 0 samples carries nothing: its color is not looked
         at. NaN in a map counts as the mean of the others.
+    alpha : (h, w), optional
+        What the picture covers, in [0, 1], handed over with the clean picture. Color is filtered
+        as it is, so that it should be multiplied by it, as renderers give it.
 
     Raises
     ------
@@ -73,9 +78,14 @@ class Frame:
     samples: float | np.ndarray | None = None
     roughness: np.ndarray | None = None
     specular_albedo: np.ndarray | None = None
+    alpha: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        color = _as_float32("color", self.color)
+        color = np.asarray(self.color)
+        if color.ndim == 3 and color.shape[2] == 4 and self.alpha is None:
+            object.__setattr__(self, "alpha", color[..., 3])
+            color = color[..., :3]
+        color = _as_float32("color", color)
         if color.ndim != 3 or color.shape[2] != 3 or 0 in color.shape:
             raise InputError(f"color must have shape (height, width, 3), got {color.shape}")
         object.__setattr__(self, "color", color)

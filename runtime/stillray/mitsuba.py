@@ -162,19 +162,8 @@ class Denoiser:
         before = arrays.get("previous_denoised")
         if before is not None and np.array_equal(before, picture, equal_nan=True):
             self._stream.reset()
-        frame = Frame(color=picture[..., :3], **buffers)
-        if picture.shape[2] == 3:
-            return self._stream.denoise(frame)
-        alpha = picture[..., 3]
-        if not self._denoise_alpha:
-            image = self._stream.denoise(frame)
-        else:
-            grey = np.repeat(alpha[..., None], 3, axis=2)
-            image, layers = self._stream.denoise_layers(
-                frame, {"alpha": grey}, irradiance=("alpha",)
-            )
-            alpha = np.clip(layers["alpha"][..., 0], 0, 1)
-        return np.concatenate([image, alpha[..., None]], axis=2)
+        denoise_alpha = self._denoise_alpha and picture.shape[2] == 4
+        return self._stream.denoise(Frame(color=picture, **buffers), denoise_alpha=denoise_alpha)
 
 
 def flow(position: Any, camera_before: Any, camera_now: Any) -> np.ndarray:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 
+_USUAL_STAGES = 12  # of a first frame, without a past
 Part = Callable[[str], AbstractContextManager[None]]
 
 
@@ -38,3 +39,20 @@ def timed_pass(timings: dict[str, float]) -> Iterator[Part]:
     total = sum(seconds for _, seconds in spent)
     for name, seconds in spent:
         timings[name] = timings.get(name, 0.0) + wall * seconds / total
+
+
+def share_done(timings: Mapping[str, float], before: Mapping[str, float]) -> float:
+    """The share of a frame that is done, 0 to 1: of what its stages took in the frame before.
+
+    Parameters
+    ----------
+    timings
+        Of the stages that ended.
+    before
+        Of the frame before; empty without one: then stages are taken to be about as many as the
+        packaged models have, and alike.
+    """
+    total = sum(before.values())
+    if total == 0:
+        return min(len(timings) / _USUAL_STAGES, 1.0)
+    return min(sum(before.get(name, 0.0) for name in timings) / total, 1.0)

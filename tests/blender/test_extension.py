@@ -20,9 +20,10 @@ PYTHON = os.environ.get("STILLRAY_BLENDER_PYTHON") or (
 )
 HALF = 2**-11  # the largest relative error of rounding to half precision
 
-pytestmark = pytest.mark.skipif(
-    not PYTHON, reason="no Python with bpy here, and STILLRAY_BLENDER_PYTHON names none"
-)
+if not PYTHON:
+    pytest.skip(
+        "no Python with bpy here, and STILLRAY_BLENDER_PYTHON names none", allow_module_level=True
+    )
 
 
 @pytest.fixture(scope="module")

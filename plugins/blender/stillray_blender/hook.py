@@ -53,7 +53,7 @@ def denoise_result(engine, rendered: list[_Rendered]) -> None:
             )
             shown = Shown(job.scene.name, job.layer, view.name, job.camera)
             picture = _streams.denoise(
-                frame, shown, job.number, quality=settings.quality, temporal=settings.temporal
+                frame, shown, job.number, settings, lambda _: not engine.test_break()
             )
             result.put_picture(layers[job.layer], size, view.name, picture)
 
@@ -106,6 +106,8 @@ def _told(engine):
     try:
         yield
     except Exception as error:
+        if type(error).__name__ == "Cancelled":  # Esc, or the render window was closed
+            return
         if type(error).__name__ != "InputError":
             traceback.print_exc()
         _tell(engine, f"not denoised: {error or type(error).__name__}")

@@ -35,7 +35,7 @@ class Streams:
         self._streams: dict[tuple, _Stream] = {}
         self._kind: tuple = ()
 
-    def denoise(self, frame, shown: Shown, number: int, *, quality: str, temporal: bool):
+    def denoise(self, frame, shown: Shown, number: int, settings, progress):
         """The clean picture, ``(height, width, 3)`` float32.
 
         Parameters
@@ -47,9 +47,12 @@ class Streams:
         number
             On Blender's time line: history goes on from the frame before it alone, since that is
             where motion points to.
-        quality, temporal
-            As the settings have them.
+        settings : StillraySettings
+            Quality, and whether history is used.
+        progress
+            As `stillray.Denoiser.denoise` takes it.
         """
+        quality, temporal = settings.quality, settings.temporal
         if self._kind != (quality, temporal):
             self.close()
             self._kind = quality, temporal
@@ -57,8 +60,9 @@ class Streams:
         cut = stream.cuts.compare(frame) if temporal else None
         if number - 1 != stream.last or shown.camera != stream.camera or (cut and cut.is_cut):
             stream.denoiser.reset()
+        picture = stream.denoiser.denoise(frame, progress=progress)
         stream.last, stream.camera = number, shown.camera
-        return stream.denoiser.denoise(frame)
+        return picture
 
     def forget(self) -> None:
         """Drop all history."""

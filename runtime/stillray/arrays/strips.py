@@ -9,12 +9,13 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TypeVar
 
 import cv2
 import numpy as np
 
+from stillray.arrays.watch import INTERVAL, Watch
 from stillray.arrays.workspace import Workspace
 
 # 512 KiB a float32 plane. Smaller strips stay in a nearer cache, but each has a price, more than a
@@ -43,6 +44,8 @@ class Strips:
     """
 
     def __init__(self, threads: int, *, pixels: int = STRIP_PIXELS) -> None:
+        #: Looked at between strips.
+        self.watch = Watch()
         self._pixels = pixels
         self._pool = ThreadPoolExecutor(threads, "stillray") if threads > 1 else None
         self._local = threading.local()
@@ -83,9 +86,29 @@ class Strips:
         """
         strips = self.of(height, width, pixels=pixels)
         if self._pool is None or len(strips) == 1:
-            return [work(strip) for strip in strips]
+            results = []
+            for strip in strips:
+                self.watch.look()
+                results.append(work(strip))
+            return results
+        if self.watch.active:
+            return self._watched(work, strips)
         # list() waits for all and raises what any of them raised
         return list(self._pool.map(work, strips))
+
+    def _watched(self, work: Callable[[slice], Result], strips: list[slice]) -> list[Result]:
+        assert self._pool is not None
+        futures = [self._pool.submit(work, strip) for strip in strips]
+        try:
+            self.watch.look()
+            while wait(futures, timeout=INTERVAL).not_done:
+                self.watch.look()
+            return [future.result() for future in futures]
+        except BaseException:
+            for future in futures:
+                future.cancel()
+            wait(futures)  # strips in work write to arrays that the next frame takes
+            raise
 
     def of(self, height: int, width: int, *, pixels: int = STRIP_PIXELS) -> list[slice]:
         """The rows of each strip of a frame, as `run` would cut it."""

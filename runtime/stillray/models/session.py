@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from stillray.arrays.watch import INTERVAL, Watch
 from stillray.errors import InputError
 from stillray.models.network_graph import GraphError, Interface, interface_of
 from stillray.models.onnx_file import OnnxFile, parse_onnx, read_bytes
@@ -80,18 +81,79 @@ class Network:
         InputError
             ONNX Runtime cannot run the network on that.
         """
+        return self.begin(graph, inputs).result()
+
+    def begin(self, graph: str, inputs: Mapping[str, np.ndarray]) -> Running:
+        """As `run`, without waiting for the end; runs that were begun follow each other."""
         if graph != "network":
             raise ValueError(f"graph must be 'network', got {graph!r}")
-        ran = self._thread.submit(self._session.run, None, dict(inputs))
-        try:
-            outputs = ran.result()
-        except Exception as error:  # ONNX Runtime's own, without a common base
-            raise InputError(f"{self._path}: cannot be run: {_first_line(error)}") from None
-        return {name: output[0] for name, output in zip(self._names, outputs, strict=True)}
+        import onnxruntime as ort
+
+        options = ort.RunOptions()
+        future = self._thread.submit(self._session.run, None, dict(inputs), options)
+        return Running(future, options, self._path, self._names)
 
     def close(self) -> None:
         """Stop the thread."""
         self._thread.shutdown()
+
+
+class Running:
+    """A run of a network that was begun."""
+
+    def __init__(self, future: Future[Any], options: Any, path: Path, names: list[str]) -> None:
+        self._future, self._options, self._path, self._names = future, options, path, names
+
+    def done(self, seconds: float) -> bool:
+        """Whether it ends within a time."""
+        return not wait([self._future], timeout=seconds).not_done
+
+    def stop(self) -> None:
+        """Ask it to end after the operator that it is at; nobody needs to wait for that."""
+        self._options.terminate = True
+
+    def result(self) -> dict[str, np.ndarray]:
+        """Wait for the outputs, as `Network.run` gives them."""
+        try:
+            outputs = self._future.result()
+        except Exception as error:  # ONNX Runtime's own, without a common base
+            raise InputError(f"{self._path}: cannot be run: {_first_line(error)}") from None
+        return {name: output[0] for name, output in zip(self._names, outputs, strict=True)}
+
+
+class WatchedEngine:
+    """An engine, looked at while it runs.
+
+    Parameters
+    ----------
+    engine
+        What runs; ended within a run if it is a `Network`, else before and after.
+    watch
+        Of the caller.
+    """
+
+    def __init__(self, engine: Any, watch: Watch) -> None:
+        self._engine, self._watch = engine, watch
+
+    def run(self, graph: str, inputs: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        """As the engine's own."""
+        self._watch.look()
+        if not isinstance(self._engine, Network):
+            outputs: dict[str, Any] = self._engine.run(graph, inputs)
+            self._watch.look()
+            return outputs
+        running = self._engine.begin(graph, inputs)
+        try:
+            while not running.done(INTERVAL):
+                self._watch.look()
+        except BaseException:
+            running.stop()
+            raise
+        return running.result()
+
+    def close(self) -> None:
+        """As the engine's own."""
+        self._engine.close()
 
 
 def open_session(

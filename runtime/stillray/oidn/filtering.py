@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
-from stillray.arrays import srgb
+from stillray.arrays.encoding import Encoding
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.oidn.constants import OIDN_FILTER_TYPE_RT, OIDN_FILTER_TYPE_RT_LIGHTMAP
@@ -16,15 +15,6 @@ from stillray.pipeline.denoiser import Denoiser
 from stillray.pipeline.tiles import BASE_BYTES, FRAME_BYTES
 
 FILTER_TYPES = (OIDN_FILTER_TYPE_RT, OIDN_FILTER_TYPE_RT_LIGHTMAP)
-
-
-class Values(Enum):
-    """What the numbers of a picture are."""
-
-    HDR = "scene-linear radiance, 0 and more"
-    LDR = "linear, in [0, 1]"
-    SRGB = "sRGB values in [0, 1]"
-    SIGNED = "in [-1, 1]: normals, coefficients of directional lightmaps"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,13 +39,13 @@ class Parameters:
     max_memory_mb: int = -1
 
     @property
-    def color_values(self) -> Values:
-        """What the color's values are."""
+    def color_encoding(self) -> Encoding:
+        """What the color's numbers are."""
         if self.filter_type == OIDN_FILTER_TYPE_RT_LIGHTMAP:
-            return Values.SIGNED if self.directional else Values.HDR
+            return Encoding.SIGNED if self.directional else Encoding.HDR
         if self.hdr:
-            return Values.HDR
-        return Values.SRGB if self.srgb else Values.LDR
+            return Encoding.HDR
+        return Encoding.SRGB if self.srgb else Encoding.LDR
 
 
 def filtered(
@@ -83,7 +73,7 @@ def filtered(
     InputError
         There is nothing to filter, sizes differ, or the memory does not suffice.
     """
-    name, values = _subject(images, parameters)
+    name, encoding = _subject(images, parameters)
     subject = images[name]
     for other, image in images.items():
         if image.shape[:2] != subject.shape[:2]:
@@ -92,48 +82,26 @@ def filtered(
             )
     guides = {}
     # coefficients of a direction are not divided by albedo, and a guide has no guide
-    if name == "color" and values is not Values.SIGNED:
+    if name == "color" and encoding is not Encoding.SIGNED:
         guides = {n: _three(images[n]) for n in ("albedo", "normal") if n in images}
-    frame = Frame(color=radiance_of(_three(subject), values), **guides)
+    frame = Frame(color=_three(subject), **guides)
     denoiser.max_memory = None
     if parameters.max_memory_mb >= 0:
         height, width = frame.shape
         scratch = parameters.max_memory_mb << 20
         denoiser.max_memory = BASE_BYTES + FRAME_BYTES * height * width + scratch
-    result = values_of(denoiser.denoise(frame), values)
+    result = denoiser.denoise(frame, encoding=encoding.value)
     return result if subject.shape[2] == 3 else result[..., :1]
 
 
-def radiance_of(image: np.ndarray, values: Values) -> np.ndarray:
-    """Radiance to denoise; what lies beyond the range of the values is clipped."""
-    if values is Values.HDR:
-        return image
-    image = np.asarray(image, np.float32)
-    if values is Values.SIGNED:
-        # every picture is a weighted mean of what is there, so a shift goes through unchanged
-        return (np.clip(image, -1, 1) + np.float32(1)) * np.float32(0.5)
-    image = np.clip(image, 0, 1)
-    return srgb.decode(image) if values is Values.SRGB else image
-
-
-def values_of(radiance: np.ndarray, values: Values) -> np.ndarray:
-    """`radiance_of` undone."""
-    if values is Values.HDR:
-        return radiance
-    radiance = np.clip(radiance, 0, 1)
-    if values is Values.SIGNED:
-        return radiance * np.float32(2) - np.float32(1)
-    return srgb.encode(radiance) if values is Values.SRGB else radiance
-
-
-def _subject(images: Mapping[str, np.ndarray], parameters: Parameters) -> tuple[str, Values]:
+def _subject(images: Mapping[str, np.ndarray], parameters: Parameters) -> tuple[str, Encoding]:
     if "color" in images:
-        return "color", parameters.color_values
+        return "color", parameters.color_encoding
     if len(images) == 1 and parameters.filter_type == OIDN_FILTER_TYPE_RT:
         if "albedo" in images:
-            return "albedo", Values.LDR
+            return "albedo", Encoding.LDR
         if "normal" in images:
-            return "normal", Values.SIGNED
+            return "normal", Encoding.SIGNED
     raise InputError(
         f"color must be given, or albedo or normal alone to an RT filter, got "
         f"{' and '.join(images) or 'no image'}"

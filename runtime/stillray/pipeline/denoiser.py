@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from numbers import Integral
 from types import TracebackType
 
 import numpy as np
+from numpy.typing import DTypeLike
 
+from stillray.arrays.encoding import Encoding, decoded, encoded, encoding_of
 from stillray.arrays.strips import Strips, available_threads
+from stillray.arrays.watch import Progress
 from stillray.arrays.workspace import Workspace
 from stillray.errors import InputError
 from stillray.families.contract import Context, Engine, Family, Request, State
@@ -17,13 +22,13 @@ from stillray.families.registry import FAMILIES
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
 from stillray.models.registry import DEFAULT_MODEL, ModelInfo, find_model
-from stillray.models.session import Network, Provider
+from stillray.models.session import Network, Provider, WatchedEngine
 from stillray.pipeline.layers import validated
-from stillray.pipeline.output import check_output, put
+from stillray.pipeline.output import Target
 from stillray.pipeline.tiles import plan_tiles
 from stillray.pipeline.turns import Turns
 from stillray.stages.plan import Plan, Stage
-from stillray.timing import timed
+from stillray.timing import share_done, timed
 
 
 class Denoiser:
@@ -145,7 +150,16 @@ class Denoiser:
         with self._turns.take():
             return list(self._plan(frame, layers, Context(strips=self._strips)).stages)
 
-    def denoise(self, frame: Frame, *, out: np.ndarray | None = None) -> np.ndarray:
+    def denoise(
+        self,
+        frame: Frame,
+        *,
+        out: np.ndarray | None = None,
+        dtype: DTypeLike | None = None,
+        encoding: str = "hdr",
+        denoise_alpha: bool = False,
+        progress: Progress | None = None,
+    ) -> np.ndarray:
         """Denoise the next frame.
 
         Parameters
@@ -153,24 +167,49 @@ class Denoiser:
         frame
             The buffers. A frame of another size than the last starts a new history.
         out : (height, width, 3) float, optional
-            Where the picture is put, strided or not; in half precision clamped to its range.
+            Where the picture is put, strided or not; in half precision clamped to its range. Of 4
+            channels where the frame has alpha.
+        dtype
+            Type of floats of the picture, if not float32; not with ``out``.
+        encoding
+            What the numbers of color are, and those of the picture: ``"hdr"``, scene-linear
+            radiance; ``"ldr"``, linear in [0, 1]; ``"srgb"``, sRGB values in [0, 1];
+            ``"signed"``, in [-1, 1]. What lies beyond a range is clipped.
+        denoise_alpha
+            Whether alpha is filtered as color is, or handed over as it was given.
+        progress
+            Called in this thread with the share of the frame that is done, every few hundredths
+            of a second. False ends the frame: the history is then as before the call.
 
         Returns
         -------
         (height, width, 3) float32, or ``out``
             Scene-linear radiance: finite, >= 0; a mean of the accumulated irradiance of each
-            window, since kernels cannot invent light, times a mean of the albedo around.
+            window, since kernels cannot invent light, times a mean of the albedo around. With
+            alpha ``(height, width, 4)``.
 
         Raises
         ------
         InputError
-            The frame does not fit into ``max_memory``, not even in tiles; ``out`` has another
-            shape; the denoiser is closed, or used elsewhere, see `stillray.pipeline.turns`.
+            The frame does not fit into ``max_memory``, not even in tiles; an argument cannot be
+            used; the denoiser is closed, or used elsewhere, see `stillray.pipeline.turns`.
+        Cancelled
+            ``progress`` returned False.
         """
-        if out is None:
-            return self._run(frame, {})[0]
-        check_output(out, frame.shape)
-        return put(self._run(frame, {})[0], out)
+        channels, scale = 3 if frame.alpha is None else 4, self._family.traits.scale
+        height, width = (extent * scale for extent in frame.shape)
+        if frame.alpha is not None and scale != 1:
+            raise InputError(f"alpha must not be given with {self.model.name}, which enlarges")
+        if frame.alpha is None and denoise_alpha:
+            raise InputError("denoise_alpha must be False for a frame without alpha, got True")
+        target = Target.of(out, dtype, (height, width, channels))
+        values = encoding_of(encoding)
+        if values is not Encoding.HDR:
+            frame = replace(frame, color=decoded(frame.color, values))
+        layers = {"alpha": _grey(frame.alpha)} if denoise_alpha else {}
+        image, filtered = self._run(frame, layers, layers, progress)
+        alpha = np.clip(filtered["alpha"][..., 0], 0, 1) if denoise_alpha else frame.alpha
+        return target.put(encoded(image, values), alpha)
 
     def denoise_layers(
         self,
@@ -178,6 +217,7 @@ class Denoiser:
         layers: Mapping[str, np.ndarray],
         *,
         irradiance: Collection[str] = (),
+        progress: Progress | None = None,
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Denoise the next frame, and filter other layers of it exactly as its color.
 
@@ -194,11 +234,13 @@ class Denoiser:
         irradiance
             Names of layers that are without the colour of surfaces, as Blender's diffuse direct
             light: filtered as they are, where the others are divided by albedo meanwhile.
+        progress
+            As `denoise` takes it.
 
         Returns
         -------
         image : (height, width, 3) float32
-            As `denoise` gives it.
+            As `denoise` gives it, without alpha.
         layers
             By name: ``(height, width, 3)`` float32, finite.
 
@@ -206,29 +248,50 @@ class Denoiser:
         ------
         InputError
             A layer has a wrong shape or type.
+        Cancelled
+            ``progress`` returned False.
         """
-        return self._run(frame, validated(layers, frame), irradiance)
+        return self._run(frame, validated(layers, frame), irradiance, progress)
 
     def _run(
-        self, frame: Frame, layers: Mapping[str, np.ndarray], irradiance: Collection[str] = ()
+        self,
+        frame: Frame,
+        layers: Mapping[str, np.ndarray],
+        irradiance: Collection[str],
+        progress: Progress | None,
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         with self._turns.take():
-            self.last_timings = {}
-            context = Context(
-                strips=self._strips,
-                engine=self.engine,
-                workspace=self._workspace,
-                timings=self.last_timings,
-                back_buffer=self._back_buffer,
-            )
-            step = self._family.step(self._plan(frame, layers, context), context)
-            images: dict[str, np.ndarray] = {}
-            if step.filter_layer is not None:
-                with timed(self.last_timings, "layers"):
-                    for name, layer in layers.items():
-                        images[name] = step.filter_layer(name, layer, irradiance=name in irradiance)
-            self._remember(step.finish())
-            return step.image, images
+            before, self.last_timings = self.last_timings, {}
+            watch = self._strips.watch
+            with watch.over(progress, partial(share_done, self.last_timings, before)):
+                engine = self.engine if progress is None else WatchedEngine(self.engine, watch)
+                images = self._frame(frame, layers, irradiance, engine)
+            if progress is not None:
+                progress(1.0)
+            return images
+
+    def _frame(
+        self,
+        frame: Frame,
+        layers: Mapping[str, np.ndarray],
+        irradiance: Collection[str],
+        engine: Engine,
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        context = Context(
+            strips=self._strips,
+            engine=engine,
+            workspace=self._workspace,
+            timings=self.last_timings,
+            back_buffer=self._back_buffer,
+        )
+        step = self._family.step(self._plan(frame, layers, context), context)
+        images: dict[str, np.ndarray] = {}
+        if step.filter_layer is not None:
+            with timed(self.last_timings, "layers"):
+                for name, layer in layers.items():
+                    images[name] = step.filter_layer(name, layer, irradiance=name in irradiance)
+        self._remember(step.finish())
+        return step.image, images
 
     def _plan(self, frame: Frame, layers: Collection[str], context: Context) -> Plan:
         traits = self._family.traits
@@ -260,6 +323,12 @@ class Denoiser:
 
 #: How a buffer that is missing comes about, where that is not plain.
 _HOW = {"color_b": ": render the same frame again with another seed"}
+
+
+def _grey(alpha: np.ndarray | None) -> np.ndarray:
+    """Alpha as a layer of light."""
+    assert alpha is not None
+    return np.repeat(np.nan_to_num(alpha)[..., None], 3, axis=2)
 
 
 def _checked_threads(threads: int | None) -> int:

@@ -1,30 +1,76 @@
-"""Pictures into arrays of the caller's, of any float type and any strides."""
+"""How a picture is handed over: into arrays of the caller's, of any float type and any strides."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import DTypeLike
 
 from stillray.errors import InputError
 
 
-def check_output(out: np.ndarray, shape: tuple[int, int]) -> None:
-    """Whether a picture of that height and width can be put there.
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Where a picture goes; made before a frame runs, so that what is wrong is told at once.
 
-    Raises
-    ------
-    InputError
-        It is no writable array of floats of ``(height, width, 3)``.
+    Attributes
+    ----------
+    out
+        The caller's; None for an array of its own.
+    dtype
+        Of that array.
     """
-    if not isinstance(out, np.ndarray) or out.dtype.kind != "f" or not out.flags.writeable:
-        kind = getattr(out, "dtype", type(out))
-        raise InputError(f"out must be a writable array of floats, got {kind}")
-    if out.shape != (*shape, 3):
-        raise InputError(f"out must have shape {(*shape, 3)} like color, got {out.shape}")
+
+    out: np.ndarray | None
+    dtype: np.dtype
+
+    @classmethod
+    def of(
+        cls, out: np.ndarray | None, dtype: DTypeLike | None, shape: tuple[int, int, int]
+    ) -> Target:
+        """The target of pictures of a shape.
+
+        Raises
+        ------
+        InputError
+            ``out`` is no writable array of floats of that shape, the type is none of floats, or
+            both are given.
+        """
+        if out is None:
+            return cls(None, _float_type(np.float32 if dtype is None else dtype))
+        if dtype is not None:
+            raise InputError(f"dtype must not be given with out, got {dtype}")
+        if not isinstance(out, np.ndarray) or out.dtype.kind != "f" or not out.flags.writeable:
+            kind = getattr(out, "dtype", type(out))
+            raise InputError(f"out must be a writable array of floats, got {kind}")
+        if out.shape != shape:
+            raise InputError(f"out must have shape {shape} like color, got {out.shape}")
+        return cls(out, out.dtype)
+
+    def put(self, image: np.ndarray, alpha: np.ndarray | None) -> np.ndarray:
+        """Hand over a picture ``(h, w, 3)`` float32, with alpha ``(h, w)`` behind it if given.
+
+        A picture that fits as it is goes without a copy. Half precision never gets infinite.
+        """
+        if self.out is None and alpha is None and self.dtype == image.dtype:
+            return image
+        if self.dtype == np.float16:
+            image = np.minimum(image, np.float32(np.finfo(np.float16).max))
+        out = self.out
+        if out is None:
+            out = np.empty((*image.shape[:2], 3 if alpha is None else 4), self.dtype)
+        np.copyto(out[..., :3], image, casting="same_kind")
+        if alpha is not None:
+            np.copyto(out[..., 3], alpha, casting="same_kind")
+        return out
 
 
-def put(image: np.ndarray, out: np.ndarray) -> np.ndarray:
-    """Copy a picture to where `check_output` said it fits; never infinite in half precision."""
-    if out.dtype == np.float16:
-        image = np.minimum(image, np.float32(np.finfo(np.float16).max))
-    np.copyto(out, image, casting="same_kind")
-    return out
+def _float_type(dtype: DTypeLike) -> np.dtype:
+    try:
+        found = np.dtype(dtype)
+    except TypeError:
+        found = None
+    if found is None or found.kind != "f":
+        raise InputError(f"dtype must be a type of floats, got {dtype!r}")
+    return found

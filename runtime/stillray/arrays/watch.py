@@ -1,0 +1,57 @@
+"""A look at a frame in work: how far it is, and whether its caller still wants it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from stillray.errors import Cancelled
+
+#: Told the share of a frame that is done, 0 to 1; False ends it, None and True go on.
+Progress = Callable[[float], object]
+#: Seconds between looks while other threads work.
+INTERVAL = 0.01
+
+
+class Watch:
+    """Asks the caller between pieces of work, in the caller's own thread."""
+
+    def __init__(self) -> None:
+        self._ask: Progress | None = None
+        self._share: Callable[[], float] = lambda: 0.0
+
+    @property
+    def active(self) -> bool:
+        """Whether somebody looks."""
+        return self._ask is not None
+
+    @contextmanager
+    def over(self, ask: Progress | None, share: Callable[[], float]) -> Iterator[None]:
+        """Look on within the block.
+
+        Parameters
+        ----------
+        ask
+            Of the caller; None for nobody.
+        share
+            Gives the share that is done.
+        """
+        self._ask, self._share = ask, share
+        try:
+            yield
+        finally:
+            self._ask = None
+
+    def look(self) -> None:
+        """Tell the caller how far it is.
+
+        Raises
+        ------
+        Cancelled
+            The caller wants no more of it.
+        """
+        if self._ask is None:
+            return
+        answer = self._ask(self._share())
+        if answer is not None and not answer:  # False of Python, NumPy or C
+            raise Cancelled("the frame was cancelled: progress returned False")

@@ -1,0 +1,170 @@
+"""Calls as an engine makes them: ended inside a frame, with alpha, in other encodings and types."""
+
+import threading
+
+import numpy as np
+import pytest
+
+import stillray
+from stillray.arrays import srgb
+from stillray.arrays.strips import Strips
+from stillray.frame import Frame
+from stillray.profiling.synthetic import swing
+from tests.conftest import make_frame
+
+SHAPE = 70, 96
+MODELS = [info.name for info in stillray.list_models()]
+
+
+def in_strips(denoiser, threads):
+    """The same denoiser, whose small frames go in strips of a few rows."""
+    denoiser._strips = Strips(threads, pixels=12 * SHAPE[1])
+    return denoiser
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("model", MODELS)
+def test_a_cancelled_frame_leaves_the_history_as_it_was(model, threads):
+    first, second = swing(*SHAPE)
+    with stillray.Denoiser(model, threads=threads) as plain:
+        plain.denoise(first)
+        expected = plain.denoise(second)
+    with in_strips(stillray.Denoiser(model, threads=threads), threads) as denoiser:
+        denoiser.denoise(first)
+        for end in (0, 0.3, 0.6):
+            with pytest.raises(stillray.Cancelled, match="progress returned False"):
+                denoiser.denoise(second, progress=lambda share, end=end: np.bool_(share < end))
+        np.testing.assert_allclose(denoiser.denoise(second), expected, rtol=2e-4, atol=1e-5)
+
+
+def test_a_cancelled_frame_with_layers_leaves_their_history_too():
+    first, second = swing(*SHAPE)
+    layers = [{"half": frame.color / 2} for frame in (first, second)]
+    with stillray.Denoiser("fast", threads=1) as plain:
+        plain.denoise_layers(first, layers[0])
+        expected = plain.denoise_layers(second, layers[1])[1]["half"]
+    with stillray.Denoiser("fast", threads=1) as denoiser:
+        denoiser.denoise_layers(first, layers[0])
+        looks = []
+        with pytest.raises(stillray.Cancelled):
+            denoiser.denoise_layers(
+                second, layers[1], progress=lambda share: looks.append(share) or len(looks) < 20
+            )
+        found = denoiser.denoise_layers(second, layers[1])[1]["half"]
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_progress_goes_from_nothing_to_all_in_the_caller_s_thread(threads):
+    threads_of_looks = set()
+    with in_strips(stillray.Denoiser("fast", threads=threads), threads) as denoiser:
+        for frame in swing(*SHAPE):
+            looks = []
+
+            def progress(share, looks=looks):
+                looks.append(share)
+                threads_of_looks.add(threading.get_ident())
+
+            denoiser.denoise(frame, progress=progress)
+            assert looks[0] == 0
+            assert looks[-1] == 1
+            assert looks == sorted(looks)
+            assert len(set(looks)) > 4
+    assert threads_of_looks == {threading.get_ident()}
+
+
+def test_what_progress_raises_comes_out_and_the_denoiser_goes_on():
+    frame = make_frame(*SHAPE)
+    with stillray.Denoiser("fast", threads=2) as denoiser:
+        with pytest.raises(KeyboardInterrupt):
+            denoiser.denoise(frame, progress=lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert denoiser.state is None
+        assert denoiser.denoise(frame).shape == (*SHAPE, 3)
+
+
+def test_a_network_that_nobody_wants_any_more_is_not_waited_for():
+    entered, release = threading.Event(), threading.Event()
+    frame = make_frame(*SHAPE)
+    with stillray.Denoiser("fast", threads=1) as denoiser:
+        session = denoiser.engine._session
+
+        class Slow:
+            def run(self, *arguments):
+                entered.set()
+                assert release.wait(60)
+                return session.run(*arguments)
+
+        denoiser.engine._session = Slow()
+        try:
+            with pytest.raises(stillray.Cancelled):
+                denoiser.denoise(frame, progress=lambda _: not entered.is_set())
+        finally:
+            release.set()
+        denoiser.engine._session = session
+        assert np.isfinite(denoiser.denoise(frame)).all()
+
+
+def test_alpha_is_kept_or_filtered():
+    frame = make_frame(*SHAPE)
+    rng = np.random.default_rng(1)
+    alpha = rng.random(SHAPE).astype(np.float32)
+    buffers = {name: getattr(frame, name) for name in ("albedo", "normal", "depth")}
+    rgba = Frame(color=np.dstack([frame.color, alpha]), **buffers)
+    with stillray.Denoiser("high", threads=1, temporal=False) as denoiser:
+        bare = denoiser.denoise(Frame(color=frame.color, **buffers))
+        kept = denoiser.denoise(rgba)
+        np.testing.assert_array_equal(kept, np.dstack([bare, alpha]))
+        clean = denoiser.denoise(rgba, denoise_alpha=True)
+        np.testing.assert_array_equal(clean[..., :3], bare)
+        assert clean[..., 3].std() < alpha.std() / 3
+        assert abs(clean[..., 3].mean() - alpha.mean()) < 0.02
+        solid = Frame(color=frame.color, alpha=np.ones(SHAPE), **buffers)
+        np.testing.assert_allclose(denoiser.denoise(solid, denoise_alpha=True)[..., 3], 1, 1e-5)
+        out = np.empty((*SHAPE, 4), np.float16)
+        assert denoiser.denoise(rgba, out=out) is out
+        np.testing.assert_array_equal(out[..., 3], alpha.astype(np.float16))
+        with pytest.raises(stillray.InputError, match=r"out must have shape \(70, 96, 4\)"):
+            denoiser.denoise(rgba, out=out[..., :3])
+        with pytest.raises(stillray.InputError, match="denoise_alpha must be False for a frame"):
+            denoiser.denoise(frame, denoise_alpha=True)
+
+
+@pytest.mark.parametrize("dtype", ["float16", np.float64])
+def test_pictures_have_the_type_that_is_asked_for(dtype):
+    frame = make_frame(12, 10)
+    with stillray.Denoiser("fast", threads=1, temporal=False) as denoiser:
+        plain, other = denoiser.denoise(frame), denoiser.denoise(frame, dtype=dtype)
+        np.testing.assert_array_equal(other, plain.astype(dtype))
+        assert other.dtype == dtype
+        for wrong in ("uint8", "no type", complex):
+            with pytest.raises(stillray.InputError, match="dtype must be a type of floats"):
+                denoiser.denoise(frame, dtype=wrong)
+        with pytest.raises(stillray.InputError, match="dtype must not be given with out"):
+            denoiser.denoise(frame, dtype=dtype, out=plain)
+
+
+def test_numbers_of_screens_come_back_as_numbers_of_screens():
+    shown = np.random.default_rng(2).random((*SHAPE, 3), np.float32)
+    shown[0, 0] = -1, 2, 0.5  # beyond the range: clipped
+    with stillray.Denoiser("high", threads=1, temporal=False) as denoiser:
+        light = denoiser.denoise(Frame(color=srgb.decode(np.clip(shown, 0, 1))))
+        picture = denoiser.denoise(Frame(color=shown), encoding="srgb")
+        np.testing.assert_array_equal(picture, srgb.encode(np.clip(light, 0, 1)))
+        linear = denoiser.denoise(Frame(color=shown), encoding="ldr")
+        assert linear.min() >= 0
+        assert linear.max() <= 1
+        with pytest.raises(stillray.InputError, match="encoding must be one of hdr, ldr, srgb"):
+            denoiser.denoise(Frame(color=shown), encoding="sRGB")
+
+
+def test_buffers_that_fit_are_not_copied():
+    arrays = {
+        "color": np.ones((*SHAPE, 3), np.float32),
+        "albedo": np.ones((*SHAPE, 3), np.float32),
+        "normal": np.ones((*SHAPE, 3), np.float32),
+        "depth": np.ones(SHAPE, np.float32),
+        "motion": np.zeros((*SHAPE, 2), np.float32),
+    }
+    frame = Frame(**arrays)
+    for name, array in arrays.items():
+        assert getattr(frame, name) is array
