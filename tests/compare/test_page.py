@@ -29,7 +29,9 @@ NAMES = ["psnr", "ssim", "smape", "relmse", "flip"]
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None, reason="no Chromium is installed: apt-get install chromium"
+)
 
 # Two drawings: one that follows the change, and one that follows pixels unpacked meanwhile.
 SETTLE = """async () => {

@@ -46,6 +46,16 @@ PARTS = [
 ]
 
 
+def test_subsampled_channels_are_named(tmp_path):
+    half, path = ("half", 1), tmp_path / "f.exr"
+    names = {"Y": half, "RY": ("half", 2), "BY": ("half", 2)}
+    path.write_bytes(exr([OddPart(channels=names, data=(0, 0, 24, 20))], np.random.default_rng(0)))
+    with pytest.raises(InputError, match=r"luminance and chroma \(Y, RY, BY\), which must be conv"):
+        read_exr(path)
+    with pytest.raises(InputError, match=r"part 0 has subsampled ones, .*: BY, RY"):
+        read_exr(path, layers={"color": "Y,Y,Y"})
+
+
 def test_a_color_whose_channels_lie_in_parts_of_other_sizes_is_refused(tmp_path):
     # drawn by the generator of odd files: no library writes parts of one name
     half, path = ("half", 1), tmp_path / "f.exr"

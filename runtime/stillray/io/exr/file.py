@@ -12,7 +12,7 @@ import numpy as np
 
 from stillray.errors import InputError
 from stillray.io.channels.roles import find_layers
-from stillray.io.exr.container import Container, Window
+from stillray.io.exr.container import Container, Part, Window
 from stillray.io.exr.deflate import is_plain, read_planes
 from stillray.io.exr.openimageio import checked_container, opened, openimageio, reason
 from stillray.io.exr.views import VIEW, channels_of_view, require_view, views_of
@@ -21,6 +21,7 @@ Channels = dict[str, np.ndarray]
 
 # Channels between two wanted ones that are rather read than the part decoded twice.
 _WORTH_SKIPPING = 4
+_MOST_LISTED = 8  # channels in a message
 
 
 @dataclass(frozen=True)
@@ -148,8 +149,7 @@ class ExrFile:
         planes: Channels = {}
         for number, channels in wanted.items():
             part = self.container.parts[number]
-            if part.deep:
-                raise InputError(f"{self.path}: must hold flat pixels, part {number} is deep")
+            _require_readable(self.path, number, part)
             if is_plain(part, channels):
                 chunks = [chunk for chunk in self.container.chunks if chunk.part == number]
                 found = read_planes(self.path, part, chunks, channels)
@@ -160,6 +160,18 @@ class ExrFile:
                     plane = _placed(plane, part.data, window)
                 planes[channels[channel]] = plane
         return planes
+
+
+def _require_readable(path: Path, number: int, part: Part) -> None:
+    """Raise `InputError` where a part's pixels are of a kind that nobody decodes here."""
+    if part.deep:
+        raise InputError(f"{path}: must hold flat pixels, part {number} is deep")
+    coarse = [channel.name for channel in part.channels if channel.sampling != (1, 1)]
+    if coarse:
+        raise InputError(
+            f"{path}: must hold channels of full resolution, part {number} has subsampled ones, as "
+            f"luminance-chroma files have: {', '.join(coarse[:_MOST_LISTED])}"
+        )
 
 
 def _read_part(path: Path, number: int, wanted: set[str]) -> Channels:
