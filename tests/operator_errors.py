@@ -177,10 +177,11 @@ def _features(given: Inputs) -> float:
     names = ("irradiance.r", "samples", "depth")
     mean = np.dstack([given["light"]] * 3 + [given["held"]])
     out = np.empty((3, *given["light"].shape), np.float32)
-    encode.feature_planes(
-        mean, given["local"], 1.5, SPEC.temporal, names, sample=given["light"], albedo=None,
-        normal=None, depth=given["depth"], depth_unit=3.0, out=out,
+    inputs = encode.FeatureInputs(
+        mean=mean, local=given["local"], exposure=1.5, sample=given["light"],
+        depth=given["depth"], depth_unit=3.0,
     )  # fmt: skip
+    encode.feature_planes(inputs, SPEC.temporal, names, out=out)
     held, depth = given["held"].astype(np.float64), given["depth"].astype(np.float64)
     samples = np.sqrt(held / (held + SPEC.temporal.max_samples / 4))
     wanted = np.array([np.sqrt(_tone(given["light"], 1.5)), samples, depth / (depth + 3)])
@@ -202,7 +203,9 @@ def _reproject(given: Inputs) -> float:
     reproject.mark_discontinuities(packed, rows, discontinuous)
     positions = reproject.positions_of(motion, rows)
     now = planes_of(reproject.pack(normal, depth))
-    got = reproject.reproject(history, packed, discontinuous, now, positions, rows, SPEC.temporal)
+    got = reproject.reproject(
+        reproject.PreviousFrame(history, packed, discontinuous), now, positions, rows, SPEC.temporal
+    )
     wanted = oracles.reproject(history, before, depth, normal, depth, motion, SPEC.temporal)
     return _relative(got, wanted)
 
@@ -237,7 +240,7 @@ def _accumulate_albedo(given: Inputs) -> float:
     past, positions = previous_output.keep(before, _STRIPS), _positions(given, 256)
     samples = SPEC.temporal.albedo_samples
     got, picture = np.empty_like(past), np.empty_like(by)
-    albedo_history.accumulate(by, past, samples, positions, got, picture, _STRIPS)
+    albedo_history.accumulate(by, past, samples, positions, (got, picture), _STRIPS)
     wanted, _ = oracles.accumulated_albedo(by, past, samples, positions)
     return _relative(got, wanted)
 

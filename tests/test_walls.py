@@ -1,5 +1,5 @@
 """A room imports lower floors only, also where an import is lazy or for types; nothing imports in
-circles; the runtime knows neither training nor export."""
+circles; the runtime knows neither training nor export. No function of it is long."""
 
 import ast
 from functools import cache
@@ -103,3 +103,86 @@ def test_no_module_imports_itself_by_way_of_others():
         for module, text in texts.items()
     }
     TopologicalSorter(graph).prepare()  # a CycleError names the modules of a circle
+
+
+MOST_LINES, MOST_PARAMETERS = 60, 6
+#: Signatures that are somebody else's, or that users type out by name.
+LONG_SIGNATURES = {
+    "stillray.cli.compare.compare": "options of the command line",
+    "stillray.cli.denoise.denoise": "options of the command line",
+    "stillray.cli.profile.profile": "options of the command line",
+    "stillray.mitsuba.Denoiser.__init__": "as Mitsuba's OptixDenoiser",
+    "stillray.mitsuba.Denoiser.__call__": "as Mitsuba's OptixDenoiser",
+    "stillray.oidn.convenience.denoise": "as pyoidn's",
+    "stillray.oidn.filter.Filter.set_image": "as pyoidn's",
+    "stillray.pipeline.denoiser.denoise": "the buffers of a frame, a name each",
+}
+
+
+def functions(module: str, text: str) -> dict[str, ast.FunctionDef]:
+    """Functions and methods of a module by their full name, inner ones too."""
+    found = {}
+
+    def visit(node: ast.AST, name: str) -> None:
+        for child in ast.iter_child_nodes(node):
+            inner = f"{name}.{child.name}" if hasattr(child, "name") else name
+            if isinstance(child, ast.FunctionDef):
+                found[inner] = child
+            visit(child, inner)
+
+    visit(ast.parse(text), module)
+    return found
+
+
+def parameters(function: ast.FunctionDef) -> int:
+    """How many it has, without the object that a method belongs to."""
+    given = function.args
+    listed = [*given.posonlyargs, *given.args, *given.kwonlyargs]
+    listed += [more for more in (given.vararg, given.kwarg) if more is not None]
+    return len(listed) - (bool(listed) and listed[0].arg in ("self", "cls"))
+
+
+def lines(function: ast.FunctionDef) -> int:
+    """Its lines, without its docstring's."""
+    first = function.body[0]
+    has_docstring = ast.get_docstring(function, clean=False) is not None
+    told = first.end_lineno - first.lineno + 1 if has_docstring else 0
+    return function.end_lineno - function.lineno + 1 - told
+
+
+def too_much(texts: dict[str, str]) -> list[str]:
+    """Functions that are too long, or ask for too much."""
+    wrong = []
+    for module, text in sorted(texts.items()):
+        for name, function in functions(module, text).items():
+            if name in LONG_SIGNATURES:
+                continue
+            if parameters(function) > MOST_PARAMETERS or lines(function) > MOST_LINES:
+                wrong.append(f"{name}: {parameters(function)} parameters, {lines(function)} lines")
+    return wrong
+
+
+def test_no_function_is_long_or_asks_for_much():
+    assert too_much(sources()) == []
+
+
+def test_exceptions_are_of_functions_that_need_them():
+    texts = sources()
+    found = {
+        name: function
+        for module, text in texts.items()
+        for name, function in functions(module, text).items()
+    }
+    assert all(parameters(found[name]) > MOST_PARAMETERS for name in LONG_SIGNATURES)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "def f(a, b, c, *, d, e, g, h=1):\n    pass\n",
+        "class A:\n    def f(self, a, b, c, d, e, *f, **g):\n        pass\n",
+        "def f():\n    def g(a):\n" + "        a += 1\n" * 60,
+    ],
+)
+def test_a_long_function_is_found(text):
+    assert too_much({"stillray.x": text})

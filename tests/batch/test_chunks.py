@@ -12,7 +12,7 @@ import pytest
 from stillray.batch.chunks import ShotSettings, denoise_chunk, split
 from stillray.batch.file_layout import Layout
 from stillray.batch.resume import Recipe, file_digest
-from stillray.batch.shot import ShotFrame, plan_shot
+from stillray.batch.shot import Selection, ShotFrame, plan_shot
 from stillray.cli import main
 from stillray.errors import InputError
 from stillray.io.exr.read_write import read_exr, read_metadata
@@ -217,7 +217,7 @@ def test_chunk_is_the_nearer_to_one_machine_the_more_frames_it_runs_before(shot)
         found = pictures(shot)[14]
         return np.abs(found - alone[14]).mean() / alone[14].mean()
 
-    jobs = plan_shot(["shot.##.exr"], "clean.##.exr", frames="1-14")
+    jobs = plan_shot(["shot.##.exr"], "clean.##.exr", selection=Selection(frames="1-14"))
     whole = next(iter(split(jobs, FRAMES, memory=FRAMES).values()))
     denoise_chunk(whole, 1, work=replace(work_of(), memory=FRAMES))
     alone = pictures(shot)

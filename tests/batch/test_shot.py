@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stillray.batch.shot import ShotFrame, plan_shot, steps_to_run, window
+from stillray.batch.shot import Selection, ShotFrame, plan_shot, steps_to_run, window
 from stillray.errors import InputError
 from stillray.io.exr.read_write import write_channels
 
@@ -76,7 +76,7 @@ def shot(tmp_path, monkeypatch):
 
 
 def planned_numbers(**options):
-    planned = plan_shot(["s.##.exr"], "c.##.exr", **options)
+    planned = plan_shot(["s.##.exr"], "c.##.exr", selection=Selection(**options))
     return [(job.number, job.output is not None) for job in planned]
 
 
@@ -106,10 +106,17 @@ def test_plan_lead_in_needs_no_output_name_but_its_features(shot):
     for number in (4, 5):
         channels = {name: np.zeros((2, 3), np.float32) for name in "RGB"}
         write_channels(shot / f"a.{number}.exr", channels)
-    planned = plan_shot(["s.##.exr"], "c.##.exr", {"albedo": "a.#.exr"}, frames="5", warm_up=1)
+    planned = plan_shot(
+        ["s.##.exr"], "c.##.exr", {"albedo": "a.#.exr"}, selection=Selection(frames="5", warm_up=1)
+    )
     assert [job.companions["albedo"].name for job in planned] == ["a.4.exr", "a.5.exr"]
     with pytest.raises(InputError, match=r"a\.3\.exr: no such file"):
-        plan_shot(["s.##.exr"], "c.##.exr", {"albedo": "a.#.exr"}, frames="5", warm_up=2)
+        plan_shot(
+            ["s.##.exr"],
+            "c.##.exr",
+            {"albedo": "a.#.exr"},
+            selection=Selection(frames="5", warm_up=2),
+        )
 
 
 @pytest.mark.parametrize(
@@ -129,4 +136,4 @@ def test_plan_says_what_is_wrong(shot, options, words):
 
 def test_plan_refuses_to_write_into_the_inputs_folder_under_their_names(shot):
     with pytest.raises(InputError, match="must not overwrite an input"):
-        plan_shot(["s.##.exr"], ".", frames="1-3")
+        plan_shot(["s.##.exr"], ".", selection=Selection(frames="1-3"))

@@ -101,7 +101,9 @@ def test_denoise_takes_features_from_separate_sequences(shot):
     command = ["denoise", "shot.####.exr", "-o", "clean.####.exr", *FAST_WITH_GAP]
     assert main([*command, "--albedo", "albedo.####.exr"]) == 0
     with stillray.Denoiser("fast") as denoiser:
-        expected = denoiser.denoise(read_exr("shot.0001.exr", albedo="albedo.0001.exr"))
+        expected = denoiser.denoise(
+            read_exr("shot.0001.exr", companions={"albedo": "albedo.0001.exr"})
+        )
     np.testing.assert_array_equal(read_exr("clean.0001.exr").color, expected.astype(np.float16))
 
 

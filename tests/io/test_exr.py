@@ -13,6 +13,7 @@ from stillray.io.exr.read_write import (
     read_exr,
     read_metadata,
     write_channels,
+    write_color,
     write_exr,
 )
 
@@ -129,29 +130,33 @@ def test_read_exr_takes_buffers_from_separate_files_over_those_inside(tmp_path):
         write_channels(tmp_path / f"{name}.exr", planes(*channels, seed=ord(name)))
     frame = read_exr(
         tmp_path / "c.exr",
-        albedo=tmp_path / "a.exr",
-        normal=str(tmp_path / "n.exr"),
-        depth=tmp_path / "d.exr",
-        motion=tmp_path / "m.exr",
+        companions={
+            "albedo": tmp_path / "a.exr",
+            "normal": str(tmp_path / "n.exr"),
+            "depth": tmp_path / "d.exr",
+            "motion": tmp_path / "m.exr",
+        },
     )
     np.testing.assert_array_equal(frame.albedo[..., 2], planes(*"RGB", seed=ord("a"))["B"])
     np.testing.assert_array_equal(frame.normal[..., 2], planes(*"XYZ", seed=ord("n"))["Z"])
     np.testing.assert_array_equal(frame.depth, planes("Y", seed=ord("d"))["Y"])
     np.testing.assert_array_equal(frame.motion[..., 1], planes(*"RG", seed=ord("m"))["G"])
+    with pytest.raises(InputError, match=r"companions must be of albedo, .*, got alpha"):
+        read_exr(tmp_path / "c.exr", companions={"alpha": tmp_path / "a.exr"})
 
 
 def test_read_exr_separate_file_of_another_size_is_named(tmp_path):
     write_channels(tmp_path / "c.exr", planes(*"RGB"))
     write_channels(tmp_path / "a.exr", {c: np.zeros((3, 5), np.float32) for c in "RGB"})
     with pytest.raises(InputError, match=r"a\.exr: albedo must have the size \(33, 18\).*\(3, 5\)"):
-        read_exr(tmp_path / "c.exr", albedo=tmp_path / "a.exr")
+        read_exr(tmp_path / "c.exr", companions={"albedo": tmp_path / "a.exr"})
 
 
 def test_read_exr_separate_file_without_its_buffer_is_named(tmp_path):
     write_channels(tmp_path / "c.exr", planes(*"RGB"))
     write_channels(tmp_path / "m.exr", planes("motionvector.X", "motionvector.Y"))
     with pytest.raises(InputError, match=r"m\.exr: must hold motion .* got motionvector\.X"):
-        read_exr(tmp_path / "c.exr", motion=tmp_path / "m.exr")
+        read_exr(tmp_path / "c.exr", companions={"motion": tmp_path / "m.exr"})
 
 
 @pytest.mark.parametrize(
@@ -337,7 +342,7 @@ def test_write_exr_when_the_disk_is_full_keeps_the_old_file(tmp_path):
 def test_write_exr_only_color_of_a_multi_part_source_is_one_whole_part(tmp_path):
     write_parts(tmp_path / "s.exr", [("VL.beauty", planes(*"RGB")), ("VL.depth", planes("Z"))])
     image = np.stack(list(planes(*"RGB", seed=3).values()), axis=-1)
-    write_exr(tmp_path / "o.exr", image, like=tmp_path / "s.exr", only_color=True)
+    write_color(tmp_path / "o.exr", image, like=tmp_path / "s.exr")
     assert set(read_channels(tmp_path / "o.exr")) == {"R", "G", "B"}
     assert read_metadata(tmp_path / "o.exr").getattribute("name") is None
 

@@ -29,7 +29,7 @@ def test_a_layer_of_the_same_file(tmp_path, halves):
 def test_another_rendering_gives_its_color(tmp_path, halves, prefix):
     write_channels(tmp_path / "a.exr", layers(halves[0]))
     write_channels(tmp_path / "b.exr", layers(halves[1], prefix))
-    frame = read_exr(tmp_path / "a.exr", color_b=tmp_path / "b.exr")
+    frame = read_exr(tmp_path / "a.exr", companions={"color_b": tmp_path / "b.exr"})
     np.testing.assert_allclose(frame.color, halves[0], rtol=1e-3)
     np.testing.assert_allclose(frame.color_b, halves[1], rtol=1e-3)
 
@@ -44,7 +44,7 @@ def test_another_rendering_of_another_size_is_refused(tmp_path, halves):
     write_channels(tmp_path / "a.exr", layers(halves[0]))
     write_channels(tmp_path / "b.exr", layers(halves[1][:4]))
     with pytest.raises(InputError, match=r"b\.exr"):
-        read_exr(tmp_path / "a.exr", color_b=tmp_path / "b.exr")
+        read_exr(tmp_path / "a.exr", companions={"color_b": tmp_path / "b.exr"})
 
 
 def test_the_command_takes_files_of_the_second_half(tmp_path, halves, monkeypatch):

@@ -65,10 +65,13 @@ def test_made_up_surfaces_keep_their_history_and_what_is_uncovered_has_none(spec
     now, before = swing(180, 320)
     rows = slice(0, 180)
     positions = rep.positions_of(now.motion, rows)
-    kept = rep.reproject(
+    previous = rep.PreviousFrame(
         np.ones((180, 320, 4), np.float32),
         rep.pack(before.normal, before.depth),
         np.ones((181, 321), np.uint8),
+    )
+    kept = rep.reproject(
+        previous,
         planes_of(rep.pack(now.normal, now.depth)),
         positions,
         rows,

@@ -19,15 +19,8 @@ OPTIONS = load("wskp-3").temporal
 
 def accumulate(albedo, past, positions=None, threads=1, samples=OPTIONS.albedo_samples):
     next_albedo, remodulation_albedo = np.empty_like(past), np.empty_like(albedo)
-    albedo_history.accumulate(
-        albedo,
-        past,
-        samples,
-        positions,
-        next_albedo,
-        remodulation_albedo,
-        Strips(threads, pixels=60),
-    )
+    out = (next_albedo, remodulation_albedo)
+    albedo_history.accumulate(albedo, past, samples, positions, out, Strips(threads, pixels=60))
     return next_albedo, remodulation_albedo
 
 

@@ -23,11 +23,11 @@ def test_features_do_not_change_with_the_scene_s_exposure(scale, spec, rng):
 
 def _planes(mean, local, exposure, spec, depth=None):
     out = np.zeros((len(FEATURES), *local.shape), np.float32)
-    encode.feature_planes(
-        mean, local, exposure, spec.temporal, FEATURES, sample=encode.luminance(mean),
-        albedo=None, normal=None, depth=depth,
-        depth_unit=1.0 if depth is None else encode.depth_scale(depth), out=out,
+    given = encode.FeatureInputs(
+        mean=mean, local=local, exposure=exposure, sample=encode.luminance(mean), depth=depth,
+        depth_unit=1.0 if depth is None else encode.depth_scale(depth),
     )  # fmt: skip
+    encode.feature_planes(given, spec.temporal, FEATURES, out=out)
     return out
 
 
@@ -76,10 +76,10 @@ def test_every_feature_lands_in_the_plane_of_its_name(spec, rng):
         "irradiance.luminance", "albedo.luminance",
     )  # fmt: skip
     out = np.full((len(asked), 4, 5), np.nan, np.float32)
-    encode.feature_planes(
-        mean, local, 2.0, spec.temporal, asked, sample=sample, albedo=albedo, normal=normal,
-        depth=None, depth_unit=1.0, out=out,
-    )  # fmt: skip
+    given = encode.FeatureInputs(
+        mean=mean, local=local, exposure=2.0, sample=sample, albedo=albedo, normal=normal
+    )
+    encode.feature_planes(given, spec.temporal, asked, out=out)
 
     def shown(light):
         return np.sqrt(2 * light / (1 + 2 * light))

@@ -5,7 +5,7 @@ import pytest
 
 from stillray.arrays.strips import planes_of
 from stillray.stages.repair import MAX_MOTION
-from stillray.stages.reproject import mark_discontinuities, pack, reproject
+from stillray.stages.reproject import PreviousFrame, mark_discontinuities, pack, reproject
 from tests import oracles
 from tests.conftest import ODD_SIZES
 
@@ -31,9 +31,8 @@ def _run(history, before, now, motion, rows, spec):
         for top in range(0, history.shape[0], 5):
             mark_discontinuities(before, slice(top, min(top + 5, history.shape[0])), discontinuous)
     now = None if now is None else planes_of(now)
-    return reproject(
-        history, before, discontinuous, now, _positions(motion, rows), rows, spec.temporal
-    ).copy()
+    previous = PreviousFrame(history, before, discontinuous)
+    return reproject(previous, now, _positions(motion, rows), rows, spec.temporal).copy()
 
 
 def _positions(motion, rows):

@@ -8,8 +8,9 @@ import pytest
 import stillray
 from stillray import Frame
 from stillray.arrays.strips import Strips
+from stillray.model_spec.loader import Demodulate
 from stillray.stages import decide
-from stillray.stages.specular_motion import camera_motion, has_mirrors, virtual_motion
+from stillray.stages.specular_motion import Surfaces, camera_motion, has_mirrors, virtual_motion
 from tests.conftest import remembered
 
 FOCAL = 100.0  # pixels
@@ -66,16 +67,8 @@ def pictures(depth, mirror, factor, seed=1):
 
 def follow(depth, albedo, past, now, motion=None, exposure=0.3):
     motion = motion_of(depth) if motion is None else motion
-    return virtual_motion(
-        motion,
-        depth,
-        albedo,
-        now,
-        past,
-        exposure=exposure,
-        black=1e-3,
-        strips=Strips(2, pixels=500),
-    ), motion
+    surfaces, options = Surfaces(motion, depth, albedo), Demodulate(floor=0.1, black=1e-3)
+    return virtual_motion(surfaces, now, past, exposure, options, Strips(2, pixels=500)), motion
 
 
 @pytest.mark.parametrize("shape", [(61, 83), (64, 40)])

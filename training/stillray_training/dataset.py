@@ -365,20 +365,18 @@ class PatchSampler:
         exposure = float(example.exposure * 2**stops)
         light = encode.tone_map(encode.luminance(mean), exposure)
         features = np.zeros((len(spec.network.features), *light.shape), np.float32)
-        encode.feature_planes(
-            mean,
-            encode.local_luminance(light, spec.transfer),
-            exposure,
-            spec.temporal,
-            spec.network.features,
+        given = encode.FeatureInputs(
+            mean=mean,
+            local=encode.local_luminance(light, spec.transfer),
+            exposure=exposure,
             sample=encode.luminance(sample),
             albedo=albedo,
             normal=normal,
             depth=depth,
             depth_unit=example.depth_unit,
             frame_samples=spp,
-            out=features,
         )
+        encode.feature_planes(given, spec.temporal, spec.network.features, out=features)
         encode.previous_planes(
             previous, remodulation, exposure, spec.network.features, out=features
         )

@@ -13,7 +13,15 @@ from stillray.batch.chunks import ShotSettings, run_chunks, split
 from stillray.batch.file_layout import Layout
 from stillray.batch.resume import Recipe, file_digest
 from stillray.batch.run import FrameReport, finished, remove_leftovers
-from stillray.batch.shot import RunStep, ShotFrame, first_run, make_folders, plan_shot, steps_to_run
+from stillray.batch.shot import (
+    RunStep,
+    Selection,
+    ShotFrame,
+    first_run,
+    make_folders,
+    plan_shot,
+    steps_to_run,
+)
 from stillray.errors import InputError
 from stillray.families.registry import family_of
 from stillray.frame import check_samples
@@ -294,9 +302,11 @@ def plan_run(
         sources,
         output,
         options.companions,
-        frames=options.frames,
-        on_missing=options.on_missing,
-        warm_up=(options.warm_up or 0) if temporal else 0,
+        selection=Selection(
+            frames=options.frames,
+            on_missing=options.on_missing,
+            warm_up=(options.warm_up or 0) if temporal else 0,
+        ),
         layers=layers,
     )
     layout = Layout.of(

@@ -16,6 +16,7 @@ from stillray.io.exr.read_write import (
     CleanView,
     expected_changes,
     read_lights,
+    write_color,
     write_exr,
     write_views,
 )
@@ -194,12 +195,14 @@ class Layout:
         if is_float_map(path):
             write_image(path, picture.image)
             return 0
+        source = None if is_float_map(like) else like
+        if self.only_color:
+            return write_color(path, picture.image, like=source, attributes=attributes)
         return write_exr(
             path,
             picture.image,
-            like=None if is_float_map(like) else like,
+            like=source,
             layers=self.layers,
-            only_color=self.only_color,
             lights=picture.lights,
             attributes=attributes,
         )

@@ -68,14 +68,43 @@ class RunStep:
     starts_anew: bool
 
 
+@dataclass(frozen=True, kw_only=True)
+class Selection:
+    """Which frames of a sequence a shot is.
+
+    Attributes
+    ----------
+    frames
+        Those that are written, see `stillray.io.frame_range.parse_frames`; None for all.
+    on_missing
+        What to do about frames that have no file: ``"error"``, or ``"skip"``, which begins a new
+        history after them.
+    warm_up
+        Up to so many frames before those are run too, where there are files.
+
+    Raises
+    ------
+    InputError
+        One has none of these values.
+    """
+
+    frames: str | None = None
+    on_missing: str = "error"
+    warm_up: int = 0
+
+    def __post_init__(self) -> None:
+        if self.on_missing not in ("error", "skip"):
+            raise InputError(f"on-missing must be error or skip, got {self.on_missing}")
+        if self.warm_up < 0:
+            raise InputError(f"warm-up must be 0 frames or more, got {self.warm_up}")
+
+
 def plan_shot(
     sources: Sequence[str],
     output: str,
     companions: Mapping[str, str] | None = None,
     *,
-    frames: str | None = None,
-    on_missing: str = "error",
-    warm_up: int = 0,
+    selection: Selection = Selection(),
     layers: Mapping[str, str] | None = None,
 ) -> list[ShotFrame]:
     """The frames of a shot in order; everything but the pixels is checked.
@@ -90,13 +119,8 @@ def plan_shot(
         is named with a slash at its end need not exist, see `make_folders`.
     companions
         Feature files or patterns by role.
-    frames
-        Which frames are written, see `stillray.io.frame_range.parse_frames`; None for all.
-    on_missing
-        What to do about frames that have no file: ``"error"``, or ``"skip"``, which begins a new
-        history after them.
-    warm_up
-        Up to so many frames before those are run too, where there are files.
+    selection
+        Which frames.
     layers
         Role to the layer to take for it, see `stillray.io.channels.roles.parse_overrides`.
 
@@ -108,15 +132,11 @@ def plan_shot(
     from stillray.io.frame_file import check_buffer
     from stillray.io.image_file import SUFFIXES
 
-    if on_missing not in ("error", "skip"):
-        raise InputError(f"on-missing must be error or skip, got {on_missing}")
-    if warm_up < 0:
-        raise InputError(f"warm-up must be 0 frames or more, got {warm_up}")
     there = expand(sources[0]) if len(sources) == 1 else _listed(sources)
-    numbers = None if frames is None else parse_frames(frames)
-    wanted = select(there, numbers, on_missing=on_missing)
+    numbers = None if selection.frames is None else parse_frames(selection.frames)
+    wanted = select(there, numbers, on_missing=selection.on_missing)
     outputs = dict(zip(wanted, map_companions(output, wanted, name="output"), strict=True))
-    files = _with_lead_in(wanted, there, warm_up)
+    files = _with_lead_in(wanted, there, selection.warm_up)
     features = {
         role: map_companions(pattern, files, name=role)
         for role, pattern in (companions or {}).items()

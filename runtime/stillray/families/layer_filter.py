@@ -177,15 +177,13 @@ class FilteredLayers:
             mask = discontinuities(before, strips, Workspace())
 
         def accumulated(mean: np.ndarray, light: np.ndarray) -> np.ndarray:
-            result = np.empty_like(mean)
+            result, previous = np.empty_like(mean), rep.PreviousFrame(mean, before, mask)
 
             def work(rows: slice) -> None:
                 workspace = strips.workspace
                 positions = rep.positions_of(motion[rows], rows) if motion[rows].any() else None
-                surface_guides = None if now is None else planes_of(now[rows])
-                warped = rep.reproject(
-                    mean, before, mask, surface_guides, positions, rows, options, workspace
-                )
+                geometry = None if now is None else planes_of(now[rows])
+                warped = rep.reproject(previous, geometry, positions, rows, options, workspace)
                 planes = planes_of(warped, out=workspace.array("mean", (4, *warped.shape[:2])))
                 if prepared.history_confidence is not None:
                     planes[3] *= prepared.history_confidence[rows]

@@ -15,6 +15,7 @@ no light is invented. Coarser levels hold means weighted by samples.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -110,12 +111,12 @@ class MultiResolutionModel(TemporalKernels):
         options = self._options
         outputs = _numbers(outputs)
         means = _resolutions(light.mean, outputs, options, strips)
-        coarser = _level(means[-1], None, outputs[-1], None, options, strips)
+        coarser = _level(_LevelInputs(means[-1], outputs[-1]), options, strips)
         found = []
         for mean, maps in reversed(list(zip(means[:-1], outputs[:-1], strict=True))):
-            fine = _level(mean, None, maps, None, options, strips)
+            fine = _level(_LevelInputs(mean, maps), options, strips)
             steps = np.stack([double(_step(*planes)) for planes in zip(fine, coarser, strict=True)])
-            coarser = _level(mean, coarser, maps, None, options, strips)
+            coarser = _level(_LevelInputs(mean, maps, coarser), options, strips)
             shares = np.zeros_like(fine)
             np.divide(coarser - fine, steps, out=shares, where=steps != 0)
             found.append(np.clip(shares, 0, 1, out=shares))
@@ -137,20 +138,16 @@ class MultiResolutionModel(TemporalKernels):
         with timed(timings, "reconstruct"):
             means = _resolutions(light.mean, logits, options, strips)
             for level in reversed(range(1, levels)):
-                coarser = _level(
-                    means[level], coarser, logits[level], frozen[level], options, strips,
-                    self.level_filter,
-                )  # fmt: skip
+                this = _LevelInputs(means[level], logits[level], coarser, frozen[level])
+                coarser = _level(this, options, strips, self.level_filter)
+        finest = _LevelInputs(means[0], logits[0], coarser, frozen[0])
         with timed_pass(timings) as part:
 
             def work(blocks: slice) -> None:
                 rows = slice(2 * blocks.start, 2 * blocks.stop)
                 inside = slice(rows.start, min(rows.stop, height))
                 with part("reconstruct"):
-                    planes = _rows(
-                        means[0], coarser, logits[0], frozen[0], rows, options, strips.workspace,
-                        self.level_filter,
-                    )  # fmt: skip
+                    planes = _rows(finest, rows, options, strips.workspace, self.level_filter)
                     kept = planes[:, : inside.stop - inside.start, :width]
                     interleave(kept, out=image[inside])
                 if by is not None:
@@ -199,24 +196,40 @@ def _halved(
     return coarse
 
 
+@dataclass(frozen=True, eq=False)
+class _LevelInputs:
+    """A level, and what it is blended with.
+
+    Attributes
+    ----------
+    mean : (h, w, 4) float32
+        Light and samples.
+    logits : (planes, h, w) float32
+    coarser : (3, h / 2, w / 2) float32 or None
+        The coarser level, blended already; None for this level alone.
+    frozen : (3, h, w) float32 or None
+        The weights of the blend, if they are known already.
+    """
+
+    mean: np.ndarray
+    logits: np.ndarray
+    coarser: np.ndarray | None = None
+    frozen: np.ndarray | None = None
+
+
 def _level(
-    mean: np.ndarray,
-    coarser: np.ndarray | None,
-    logits: np.ndarray,
-    frozen: np.ndarray | None,
+    level: _LevelInputs,
     options: FusedKernels,
     strips: Strips,
     level_filter: LevelFilter = filter_planes,
 ) -> np.ndarray:
     """`_rows` of a whole level, ``(3, h, w)``."""
-    height, width = mean.shape[:2]
+    height, width = level.mean.shape[:2]
     result = np.empty((3, height, width), np.float32)
 
     def work(blocks: slice) -> None:
         rows = slice(2 * blocks.start, min(2 * blocks.stop, height))
-        result[:, rows] = _rows(
-            mean, coarser, logits, frozen, rows, options, strips.workspace, level_filter
-        )
+        result[:, rows] = _rows(level, rows, options, strips.workspace, level_filter)
 
     # whole blocks of rows, but at the coarsest level, where there are none
     strips.run(work, -(-height // 2), 2 * width)
@@ -224,10 +237,7 @@ def _level(
 
 
 def _rows(
-    mean: np.ndarray,
-    coarser: np.ndarray | None,
-    logits: np.ndarray,
-    frozen: np.ndarray | None,
+    level: _LevelInputs,
     rows: slice,
     options: FusedKernels,
     workspace: Workspace,
@@ -237,13 +247,8 @@ def _rows(
 
     Parameters
     ----------
-    mean : (h, w, 4) float32
-        Light and samples of the whole level.
-    coarser : (3, h / 2, w / 2) float32 or None
-        The coarser level; None for this level alone.
-    logits : (planes, h, w) float32
-    frozen : (3, h, w) float32 or None
-        How far the level gives way, if that is known already.
+    level
+        All of it.
     rows
         Which rows; with a coarser level whole blocks.
 
@@ -252,6 +257,7 @@ def _rows(
     (3, rows, w) float32
         In the workspace.
     """
+    mean, logits, coarser, frozen = level.mean, level.logits, level.coarser, level.frozen
     near, own = with_halo(rows, max(options.kernel_sizes) // 2, len(mean))
     fine = level_filter(mean[near], logits[:, near], own, options, workspace)
     if coarser is None:

@@ -245,12 +245,10 @@ class TemporalKernels(ABC):
 
         def pack(rows: slice) -> None:
             target, workspace = planes[0, :, rows, :width], context.strips.workspace
-            features.feature_planes(
-                prepared.history.mean[rows],
-                prepared.local[rows],
-                exposure,
-                self.spec.temporal,
-                names,
+            given = features.FeatureInputs(
+                mean=prepared.history.mean[rows],
+                local=prepared.local[rows],
+                exposure=exposure,
                 sample=prepared.luminance[rows],
                 albedo=None if albedo is None else albedo[rows],
                 normal=None if normal is None else normal[rows],
@@ -258,8 +256,9 @@ class TemporalKernels(ABC):
                 depth_unit=prepared.depth_unit,
                 # to a network that has seen one sample a pixel alone, more look like a long past
                 frame_samples=prepared.counts.for_network if self.spec.knows_samples else 1.0,
-                out=target,
-                workspace=workspace,
+            )
+            features.feature_planes(
+                given, self.spec.temporal, names, out=target, workspace=workspace
             )
             features.previous_planes(
                 None if previous is None else previous[rows],

@@ -81,7 +81,7 @@ def read_frame(
         maps = {role: name for role, name in given.items() if is_float_map(name)}
         frame = read_exr(
             path,
-            **{role: name for role, name in given.items() if role not in maps},
+            companions={role: name for role, name in given.items() if role not in maps},
             layers=layers,
             convention=convention,
             before=before,

@@ -10,7 +10,7 @@ import numpy as np
 from stillray.errors import InputError
 from stillray.io.channels.roles import find_alone, gather
 from stillray.io.exr.file import ExrFile
-from stillray.io.exr.read_write import read_exr, write_exr
+from stillray.io.exr.read_write import read_exr, write_color
 from stillray.io.pfm import SUFFIXES as FLOAT_MAPS
 from stillray.io.pfm import read_pfm, write_pfm
 
@@ -74,4 +74,4 @@ def write_image(path: Path, image: np.ndarray, *, like: Path | None = None) -> N
         write_pfm(path, image)
         return
     source = like if like is not None and like.suffix.lower() == ".exr" else None
-    write_exr(path, np.broadcast_to(image, (*image.shape[:2], 3)), like=source, only_color=True)
+    write_color(path, np.broadcast_to(image, (*image.shape[:2], 3)), like=source)

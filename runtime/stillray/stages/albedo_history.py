@@ -44,8 +44,7 @@ def accumulate(
     past: np.ndarray,
     samples: float,
     positions: np.ndarray | None,
-    next_albedo: np.ndarray,
-    remodulation_albedo: np.ndarray,
+    out: tuple[np.ndarray, np.ndarray],
     strips: Strips,
 ) -> None:
     """Take a frame's albedo into the mean.
@@ -61,15 +60,14 @@ def accumulate(
     positions : (h, w, 2) float32 or None
         See `stillray.stages.prepare.Prepared`. What was outside of the last frame is this
         frame's alone.
-    next_albedo : (h, w, 4) float32
-        Written: the mean and, last, 1.
-    remodulation_albedo : (h, w, 3) float32
-        Written: the mean, in the range of the albedo's 3x3 pixels around; where some of those have
-        no albedo and some have, the albedo at most.
+    out : (h, w, 4) float32 and (h, w, 3) float32
+        Written: for the next frame the mean and, last, 1; and what the result is multiplied by: the
+        mean, in the range of the albedo's 3x3 pixels around; where some of those have no albedo and
+        some have, the albedo at most.
     strips
         Where the work runs.
     """
-    height, width = albedo.shape[:2]
+    (height, width), (next_albedo, remodulation_albedo) = albedo.shape[:2], out
     share = samples / (samples + 1)
 
     def work(rows: slice) -> None:

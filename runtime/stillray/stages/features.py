@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -102,25 +103,11 @@ def depth_scale(depth: np.ndarray) -> float:
     return cv2.sumElems(depth)[0] / hit if hit else 1.0
 
 
-def feature_planes(
-    mean: np.ndarray,
-    local: np.ndarray,
-    exposure: float,
-    temporal: Temporal,
-    features: Sequence[str],
-    *,
-    sample: np.ndarray,
-    albedo: np.ndarray | None,
-    normal: np.ndarray | None,
-    depth: np.ndarray | None,
-    depth_unit: float,
-    frame_samples: float | np.ndarray = 1.0,
-    out: np.ndarray,
-    workspace: Workspace | None = None,
-) -> None:
-    """Fill the planes that a network asks for.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FeatureInputs:
+    """Rows of a frame, of which `feature_planes` are made.
 
-    Parameters
+    Attributes
     ----------
     mean : (h, w, 4) float32
         Accumulated irradiance and samples.
@@ -128,26 +115,55 @@ def feature_planes(
         Local luminance of the accumulated irradiance, tone-mapped.
     exposure
         1 / irradiance.
-    temporal
-        Its ``max_samples`` scales the samples' plane.
-    features
-        Names of the planes, of `stillray.model_spec.loader.FEATURES`.
     sample : (h, w) float32
         Luminance of this frame's irradiance.
-    albedo, normal, depth
-        Features of the frame; planes of one that is missing are filled with 0.
+    albedo, normal : (h, w, 3) float32 or None
+    depth : (h, w) float32 or None
+        Planes of a buffer that is missing are filled with 0.
     depth_unit
         See `depth_scale`.
     frame_samples : number or (h, w) float32
         Samples a pixel of a frame, > 0; 1 where nobody said.
+    """
+
+    mean: np.ndarray
+    local: np.ndarray
+    exposure: float
+    sample: np.ndarray
+    albedo: np.ndarray | None = None
+    normal: np.ndarray | None = None
+    depth: np.ndarray | None = None
+    depth_unit: float = 1.0
+    frame_samples: float | np.ndarray = 1.0
+
+
+def feature_planes(
+    given: FeatureInputs,
+    temporal: Temporal,
+    features: Sequence[str],
+    *,
+    out: np.ndarray,
+    workspace: Workspace | None = None,
+) -> None:
+    """Fill the planes that a network asks for.
+
+    Parameters
+    ----------
+    given
+        What they are made of.
+    temporal
+        Its ``max_samples`` scales the samples' plane.
+    features
+        Names of the planes, of `stillray.model_spec.loader.FEATURES`.
     out : (len(features), h, w) float32
         Written: values in [0, 1] ([-1, 1] for normals).
     workspace
         Where temporaries lie, if given.
     """
+    local, exposure, albedo, depth = given.local, given.exposure, given.albedo, given.depth
     workspace = workspace or Workspace()
     plane = dict(zip(features, out, strict=True))
-    *irradiance, samples = planes_of(mean, out=workspace.array("mean", (4, *local.shape)))
+    *irradiance, samples = planes_of(given.mean, out=workspace.array("mean", (4, *local.shape)))
     for name, light in zip("rgb", irradiance, strict=True):
         if (target := plane.get(f"irradiance.{name}")) is not None:
             # the square root opens the dark end of [0, 1], as a display gamma does
@@ -156,7 +172,7 @@ def feature_planes(
         light = luminance_of_planes(irradiance, out=target)
         np.sqrt(tone_map(light, exposure, out=target), out=target)
     if (target := plane.get("sample.luminance")) is not None:
-        np.sqrt(tone_map(sample, exposure, out=target), out=target)
+        np.sqrt(tone_map(given.sample, exposure, out=target), out=target)
     if (target := plane.get("albedo.luminance")) is not None:
         if albedo is None:
             target.fill(0)
@@ -165,11 +181,11 @@ def feature_planes(
     if (target := plane.get("local_luminance")) is not None:
         np.sqrt(local, out=target)
     if (target := plane.get("samples")) is not None:
-        samples *= np.float32(frame_samples)
+        samples *= np.float32(given.frame_samples)
         np.add(samples, np.float32(temporal.max_samples / 4), out=target)
         np.divide(samples, target, out=target)
         np.sqrt(target, out=target)
-    for image, names in ((albedo, _ALBEDO), (normal, _NORMAL)):
+    for image, names in ((albedo, _ALBEDO), (given.normal, _NORMAL)):
         for channel, name in enumerate(names):
             if (target := plane.get(name)) is not None:
                 target[...] = 0 if image is None else image[..., channel]
@@ -177,7 +193,7 @@ def feature_planes(
         if depth is None:
             target[...] = 0
         else:
-            np.add(depth, np.float32(depth_unit), out=target)
+            np.add(depth, np.float32(given.depth_unit), out=target)
             np.divide(depth, target, out=target)
 
 

@@ -103,14 +103,12 @@ def _with_specular_motion(plan: TemporalPlan, exposed: Exposed, means: Means) ->
     assert buffers.albedo is not None
     with timed(means.timings, "specular_motion"):
         motion = specular_motion.virtual_motion(
-            buffers.motion,
-            buffers.depth,
-            buffers.albedo,
+            specular_motion.Surfaces(buffers.motion, buffers.depth, buffers.albedo),
             exposed.luminance,
             plan.past.mean,
-            exposure=exposed.exposure,
-            black=means.spec.demodulate.black,
-            strips=means.strips,
+            exposed.exposure,
+            means.spec.demodulate,
+            means.strips,
         )
     return replace(buffers, motion=motion)
 
@@ -290,16 +288,9 @@ class _Pixels:
             at = rep.positions_of(motion[rows], rows, self.positions[rows])
         # many a camera stands still, and only things move
         follows = at if motion[rows].any() else None
-        warped = rep.reproject(
-            past.mean,
-            past.surface_guides,
-            self._discontinuous,
-            now,
-            follows,
-            rows,
-            self._means.spec.temporal,
-            workspace,
-        )
+        previous = rep.PreviousFrame(past.mean, past.surface_guides, self._discontinuous)
+        options = self._means.spec.temporal
+        warped = rep.reproject(previous, now, follows, rows, options, workspace)
         if at is not None and self.follows_picture and self._buffers.depth is not None:
             dilate_motion(at, motion, self._buffers.depth, rows, workspace)
         return warped
@@ -388,8 +379,7 @@ def _albedo_history(
             plan.past.mean_albedo,
             samples,
             positions,
-            next_albedo,
-            remodulation_albedo,
+            (next_albedo, remodulation_albedo),
             means.strips,
         )
     return remodulation_albedo, next_albedo, samples + 1

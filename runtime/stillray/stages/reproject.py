@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
@@ -151,10 +153,27 @@ def positions_of(motion: np.ndarray, rows: slice, out: np.ndarray | None = None)
     return positions
 
 
+@dataclass(frozen=True, eq=False)
+class PreviousFrame:
+    """What is remembered of the previous frame, whole.
+
+    Attributes
+    ----------
+    light : (H, w, 4) float32
+        Irradiance and, last, the samples that it holds.
+    surface_guides : (H, w, 4) float32 or None
+        See `pack`; None where it had none.
+    discontinuities : (H + 1, w + 1) uint8 or None
+        Their `mark_discontinuities`; not needed where nothing moves.
+    """
+
+    light: np.ndarray
+    surface_guides: np.ndarray | None = None
+    discontinuities: np.ndarray | None = None
+
+
 def reproject(
-    history: np.ndarray,
-    before: np.ndarray | None,
-    discontinuous: np.ndarray | None,
+    previous: PreviousFrame,
     now: np.ndarray | None,
     positions: np.ndarray | None,
     rows: slice,
@@ -175,12 +194,8 @@ def reproject(
 
     Parameters
     ----------
-    history : (H, w, 4) float32
-        Irradiance and, last, the samples that it holds; the whole previous frame.
-    before : (H, w, 4) float32 or None
-        Guides of the whole previous frame, see `pack`; None where it had none.
-    discontinuous : (H + 1, w + 1) uint8 or None
-        Their `mark_discontinuities`; not needed where nothing moves.
+    previous
+        Where it is brought from.
     now : (4, h, w) float32 or None
         Guides of the rows to fill, see `surface_guide_planes`.
     positions : (h, w, 2) float32 or None
@@ -198,6 +213,7 @@ def reproject(
         Irradiance and samples at the current pixels; zeros where no tap was accepted.
     """
     workspace = workspace or Workspace()
+    history, before = previous.light, previous.surface_guides
     (height, width), count = history.shape[:2], rows.stop - rows.start
     taken = workspace.array("taken", (count, width, 4))
     compared = workspace.array("compared", (count, width, 4))
@@ -217,12 +233,12 @@ def reproject(
     if positions is None:
         return taken
     corner = np.floor(positions, out=workspace.array("corner", positions.shape))
-    if discontinuous is None:
+    if previous.discontinuities is None:
         left, top = corner[..., 0], corner[..., 1]
         apart = (left < 0) | (left >= width - 1) | (top < 0) | (top >= height - 1)
     else:
         corner += 1
-        apart = _nearest(discontinuous, corner).view(bool)
+        apart = _nearest(previous.discontinuities, corner).view(bool)
     at = np.flatnonzero(apart)
     if at.size:
         now_listed = None if now is None else np.take(now.reshape(4, -1), at, axis=1)

@@ -16,6 +16,7 @@ import numpy as np
 
 from stillray.arrays.resample import double, halve
 from stillray.arrays.strips import Strips, with_halo
+from stillray.model_spec.loader import Demodulate
 from stillray.stages import features as encode
 
 # Of the surface's inverse depth: what is shown is infinitely far, four times or twice as far.
@@ -162,37 +163,49 @@ def has_mirrors(albedo: np.ndarray, black: float) -> bool:
     return cv2.countNonZero(few) >= max(_LEAST_SHARE * few.size, 1)
 
 
-def virtual_motion(
-    motion: np.ndarray,
-    depth: np.ndarray,
-    albedo: np.ndarray,
-    now: np.ndarray,
-    past: np.ndarray,
-    *,
-    exposure: float,
-    black: float,
-    strips: Strips,
-) -> np.ndarray:
-    """Motion that follows what mirrors and clear glass show, where that brings the past nearer.
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """A frame's surfaces, as its buffers have them.
 
-    For frames that `has_mirrors` picks out: the search is dear.
-
-    Parameters
+    Attributes
     ----------
     motion : (h, w, 2) float32
-        Of surfaces, pixels, finite. Not changed.
+        Of surfaces, pixels, finite.
     depth : (h, w) float32
         0 where nothing was hit.
     albedo : (h, w, 3) float32
         Renderers report 0 for valid hits of smooth mirrors and glass.
+    """
+
+    motion: np.ndarray
+    depth: np.ndarray
+    albedo: np.ndarray
+
+
+def virtual_motion(
+    surfaces: Surfaces,
+    now: np.ndarray,
+    past: np.ndarray,
+    exposure: float,
+    options: Demodulate,
+    strips: Strips,
+) -> np.ndarray:
+    """Motion that follows what mirrors and clear glass show, where that brings the past nearer.
+
+    For frames that `has_mirrors` picks out: the search takes time.
+
+    Parameters
+    ----------
+    surfaces
+        Where mirrors are looked for; not changed.
     now : (h, w) float32
         Luminance of this frame's irradiance.
     past : (h, w, 4) float32
         The irradiance accumulated up to the previous frame, in that frame's pixels.
     exposure
         1 / irradiance, to compare tone-mapped.
-    black
-        Albedo that says nothing, at most.
+    options
+        Albedo of at most ``black`` says nothing.
     strips
         Where the search runs.
 
@@ -202,12 +215,13 @@ def virtual_motion(
         Finite; the input itself where there is no mirror, or nothing shows in it that moves
         otherwise.
     """
+    motion, depth, albedo = surfaces.motion, surfaces.depth, surfaces.albedo
     height, width = depth.shape
     if not motion.any():
         return motion
     even = (slice(0, height // 2 * 2), slice(0, width // 2 * 2))
     shows = cv2.bitwise_and(
-        _is_black(_every_second(albedo[even]), black),
+        _is_black(_every_second(albedo[even]), options.black),
         cv2.compare(_every_second(depth[even]), 0, cv2.CMP_GT),
     )
     if not shows.any():
@@ -239,7 +253,7 @@ def virtual_motion(
             return False
         mine = (slice(2 * rows.start, 2 * rows.stop), full[1])
         # a motion field is smooth: what is mirror of a block follows as one
-        changed = double(follows) & _is_black(np.ascontiguousarray(albedo[mine]), black)
+        changed = double(follows) & _is_black(np.ascontiguousarray(albedo[mine]), options.black)
         inside = np.ascontiguousarray(motion[mine])
         result[mine] = cv2.copyTo(double(found), changed, inside)
         return True

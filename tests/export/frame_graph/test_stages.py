@@ -237,8 +237,9 @@ def test_history_is_brought_here_tap_by_tap(size):
     at = runtime_reproject.positions_of(motion, rows)
     discontinuous = np.zeros((size[0] + 1, size[1] + 1), np.uint8)
     runtime_reproject.mark_discontinuities(past_guides, rows, discontinuous)
+    previous = runtime_reproject.PreviousFrame(history, past_guides, discontinuous)
     wanted = runtime_reproject.reproject(
-        history, past_guides, discontinuous, guides.transpose(2, 0, 1), at, rows, SPEC.temporal
+        previous, guides.transpose(2, 0, 1), at, rows, SPEC.temporal
     )
     got = reprojection.reproject(
         torch.from_numpy(history),
@@ -330,10 +331,10 @@ def test_mirrors_are_followed(size):
     now = features.luminance(cv2.blur(second.color, (3, 3)))
     wanted = second.motion
     if specular_motion.has_mirrors(second.albedo, SPEC.demodulate.black):
+        surfaces = specular_motion.Surfaces(second.motion, second.depth, second.albedo)
         wanted = specular_motion.virtual_motion(
-            second.motion, second.depth, second.albedo, now, past,
-            exposure=0.3, black=SPEC.demodulate.black, strips=Strips(1),
-        )  # fmt: skip
+            surfaces, now, past, 0.3, SPEC.demodulate, Strips(1)
+        )
         assert (wanted != second.motion).any()
     lights = (planes(now), reflections.light_of(torch.from_numpy(past)))
     buffers = (planes(second.motion), planes(second.depth))
@@ -359,7 +360,9 @@ def test_albedo_is_accumulated(size, held):
     places += rng.normal(0, 2, places.shape).astype(np.float32)
     remembered, modulator = np.empty_like(past), now.copy()
     if held:
-        albedo_history.accumulate(now, past, min(held, 2), places, remembered, modulator, Strips(1))
+        albedo_history.accumulate(
+            now, past, min(held, 2), places, (remembered, modulator), Strips(1)
+        )
     else:
         albedo_history.begin(now, remembered)
     got, mean, frames = albedo.accumulate_albedo(

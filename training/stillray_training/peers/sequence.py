@@ -144,10 +144,8 @@ def bring(
     )
     rows = slice(0, height)
     positions = reproject.positions_of(now.motion, rows) if now.motion.any() else None
-    surface_guides = planes_of(now.surface_guides)
-    return reproject.reproject(
-        history, before.surface_guides, discontinuous, surface_guides, positions, rows, temporal
-    )
+    previous = reproject.PreviousFrame(history, before.surface_guides, discontinuous)
+    return reproject.reproject(previous, planes_of(now.surface_guides), positions, rows, temporal)
 
 
 def blend(

@@ -41,25 +41,25 @@ __all__ = [
     "read_picture",
     "require_color",
     "write_channels",
+    "write_color",
     "write_exr",
     "write_views",
 ]
 
+#: Roles of buffers that a file of their own may hold.
+COMPANIONS = ("albedo", "normal", "depth", "motion", "color_b")
 _MOST_LISTED = 40  # channels in a message
 
 # Attributes that describe the stored pixels, not the picture: OpenImageIO sets them anew.
 _STORAGE_PREFIXES = ("oiio:", "openexr:")
+_VERSION = {"stillray:version": __version__}
 _STORAGE_NAMES = frozenset({"chunkCount", "name", "compression"})
 
 
 def read_exr(
     path: str | os.PathLike[str],
     *,
-    albedo: str | os.PathLike[str] | None = None,
-    normal: str | os.PathLike[str] | None = None,
-    depth: str | os.PathLike[str] | None = None,
-    motion: str | os.PathLike[str] | None = None,
-    color_b: str | os.PathLike[str] | None = None,
+    companions: Mapping[str, str | os.PathLike[str]] | None = None,
     layers: Mapping[str, str] | None = None,
     convention: MotionConvention | None = None,
     before: str | os.PathLike[str] | None = None,
@@ -75,11 +75,11 @@ def read_exr(
     ----------
     path
         An OpenEXR file with color and any of the other buffers.
-    albedo, normal, depth, motion
-        Files that hold that buffer instead: under a known name, or as plain R, G, B or X, Y, Z.
-        Plain motion (X, Y or R, G) is in pixels, previous minus current position, y down.
-    color_b
-        File of another rendering of the same frame, with another seed: its color is taken.
+    companions
+        Files that hold a buffer instead, by role: albedo, normal, depth and motion under a known
+        name, or as plain R, G, B or X, Y, Z; plain motion (X, Y or R, G) is in pixels, previous
+        minus current position, y down; color_b as the color of another rendering of the same
+        frame, with another seed.
     layers
         Role to the layer or channels to take for it, as
         `stillray.io.channels.roles.parse_overrides` gives; and, of a file with several views,
@@ -104,10 +104,9 @@ def read_exr(
         samples holds what no count can be.
     """
     file = ExrFile.of_layers(path, layers)
-    companions = {
-        "albedo": albedo, "normal": normal, "depth": depth, "motion": motion, "color_b": color_b,
-    }  # fmt: skip
-    given = {role: Path(p) for role, p in companions.items() if p is not None}
+    given = {role: Path(companion) for role, companion in (companions or {}).items()}
+    if unknown := sorted(set(given) - set(COMPANIONS)):
+        raise InputError(f"companions must be of {', '.join(COMPANIONS)}, got {unknown[0]}")
     found = _color_and_more(file, layers)
     matches = [
         match.proven(convention) if match.role == "motion" and convention else match
@@ -280,7 +279,6 @@ def write_exr(
     *,
     like: str | os.PathLike[str] | None = None,
     layers: Mapping[str, str] | None = None,
-    only_color: bool = False,
     lights: Mapping[str, np.ndarray] | None = None,
     attributes: Mapping[str, str] | None = None,
 ) -> int:
@@ -302,12 +300,8 @@ def write_exr(
         The source file. Where the picture has not its size, only metadata are kept.
     layers
         As it was read with, see `read_exr`.
-    only_color
-        Write R, G, B in half precision and nothing else of the source but its metadata and,
-        where the picture has its size, its windows.
     lights
-        Filtered layers by name, from `read_lights`, which replace those of the source; not with
-        ``only_color``.
+        Filtered layers by name, from `read_lights`, which replace those of the source.
     attributes
         Further attributes, such as where the picture comes from: ``{"stillray:model": "kpyr-5"}``.
         ``stillray:version`` is always written.
@@ -322,22 +316,55 @@ def write_exr(
     InputError
         The picture has a wrong shape or type, or the file cannot be read or written.
     """
+    image = _checked(image)
+    if like is not None:
+        source = ExrFile.of_layers(like, layers)
+        replaced = _replaced(source, CleanView(layers=layers, image=image, lights=lights or {}))
+        if replaced:
+            with atomic_path(Path(path)) as temporary:
+                tags = {**_VERSION, **(attributes or {})}
+                return rewrite(source.path, source.container, temporary, replaced, tags)
+    return write_color(path, image, like=like, attributes=attributes)
+
+
+def write_color(
+    path: str | os.PathLike[str],
+    image: np.ndarray,
+    *,
+    like: str | os.PathLike[str] | None = None,
+    attributes: Mapping[str, str] | None = None,
+) -> int:
+    """Write R, G, B in half precision, complete or not at all.
+
+    Parameters
+    ----------
+    path, image, attributes
+        As for `write_exr`.
+    like
+        A file whose metadata and, where the picture has its size, windows are taken.
+
+    Returns
+    -------
+    int
+        As `write_exr` does.
+
+    Raises
+    ------
+    InputError
+        As `write_exr`.
+    """
+    image = _checked(image)
+    channels = {name: image[..., i] for i, name in enumerate("RGB")}
+    return write_channels(path, channels, like=like, attributes={**_VERSION, **(attributes or {})})
+
+
+def _checked(image: np.ndarray) -> np.ndarray:
     image = np.asarray(image)
-    path = Path(path)
     if image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
         raise InputError(f"image must have shape (height, width, 3), got {image.shape}")
     if image.dtype.kind != "f":
         raise InputError(f"image must be floating point, got {image.dtype}")
-    tags = {"stillray:version": __version__, **(attributes or {})}
-    if like is not None and not only_color:
-        source = ExrFile.of_layers(like, layers)
-        replaced = _replaced(source, CleanView(layers=layers, image=image, lights=lights or {}))
-        if replaced:
-            with atomic_path(path) as temporary:
-                return rewrite(source.path, source.container, temporary, replaced, tags)
-    return write_channels(
-        path, {name: image[..., i] for i, name in enumerate("RGB")}, like=like, attributes=tags
-    )
+    return image
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
