@@ -9,6 +9,7 @@ one large ones.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -137,7 +138,11 @@ def compare(
 
 
 def confidence(
-    blocks: np.ndarray, noise: Noise | None, motion: np.ndarray, exposure: float
+    blocks: np.ndarray,
+    noise: Noise | None,
+    motion: np.ndarray,
+    exposure: float,
+    look: Callable[[], None] = lambda: None,
 ) -> tuple[np.ndarray | None, Noise]:
     """How far the past can be trusted, by its bias.
 
@@ -158,6 +163,8 @@ def confidence(
         Pixels, finite.
     exposure
         1 / irradiance.
+    look
+        Called between pieces of work, see `stillray.arrays.watch`.
 
     Returns
     -------
@@ -169,6 +176,7 @@ def confidence(
     pyramid = [blocks]
     while len(pyramid) < _LEVELS and min(pyramid[-1].shape[1:]) > 1:
         pyramid.append(_halved(pyramid[-1]))
+        look()
     lowest = min(_NOISE_LEVEL, len(pyramid) - 1)
     window = _Window.around(pyramid[lowest], lowest)
     noise = _follow_noise(noise, window, motion, exposure, lowest)
@@ -177,13 +185,20 @@ def confidence(
     for level in reversed(range(len(pyramid))):
         shape = pyramid[level].shape[1:]
         window = _Window.around(pyramid[level], level)
+        look()
         at_level = _at_level(usual, lowest, level, shape)
-        bias = _corrected(_doubled(bias, shape), window, at_level, _THRESHOLDS[level + 1])
+        bias = _doubled(bias, shape)
+        look()
+        bias = _corrected(bias, window, at_level, _THRESHOLDS[level + 1])
+        look()
     alone = _Window.alone(blocks, window)
     bias = _corrected(bias, alone, at_level, _THRESHOLDS[0])
+    look()
     if not bias.any():
         return None, noise
-    return _doubled(_kept(bias, alone, blocks[0]), motion.shape[:2]), noise
+    kept = _kept(bias, alone, blocks[0])
+    look()
+    return _doubled(kept, motion.shape[:2]), noise
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -263,7 +263,11 @@ class _Pixels:
                 variance = noise.variance * np.float32(self.counts.past_scale)
                 noise = replace(noise, variance=variance)
             self.confidence, self.noise = history_rejection.confidence(
-                self._blocks, noise, motion, self.exposed.exposure
+                self._blocks,
+                noise,
+                motion,
+                self.exposed.exposure,
+                self._means.strips.watch.look,
             )
         kept = 1.0 if self.confidence is None else cv2.mean(self.confidence)[0]
         kept *= cv2.countNonZero(self._blocks[0]) / self._blocks[0].size  # 0 without a past
