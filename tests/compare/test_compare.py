@@ -16,7 +16,9 @@ from stillray.compare.metrics import Metric
 from stillray.compare.pixels import box_average, pack_radiance
 from stillray.compare.sources import pair
 from stillray.errors import InputError
-from stillray.io.exr.read_write import write_channels
+from stillray.io.exr.read_write import read_exr, write_channels, write_exr
+from stillray.io.pfm import write_pfm
+from tests.io.odd_exr import OddPart, exr
 
 HEIGHT, WIDTH = 33, 18
 
@@ -126,6 +128,62 @@ def test_page_carries_pixels_metrics_and_flip_of_its_files(folder):
     errors, mean = metrics.flip(images[1], truth)
     np.testing.assert_allclose(shown, errors, atol=0.5 / 255 + 1e-6)
     assert mean == pytest.approx(expected[1]["flip"])
+
+
+def test_page_carries_alpha_and_the_layers_that_are_named(folder):
+    image = render(0)
+    planes = {name: image[..., i] for i, name in enumerate("RGB")}
+    planes |= {f"key.{c}": image[..., i] / 2 for i, c in enumerate("RGB")}
+    planes |= {"A": np.full((HEIGHT, WIDTH), 0.2), "depth.Z": np.full((HEIGHT, WIDTH), 7.0)}
+    write_channels("a.exr", planes)
+    write("b.exr", image)
+    command = ["compare", "a.exr", "b.exr", "-o", "page.html", "--layer", "key"]
+    assert main([*command, "--layer", "depth"]) == 0
+    page = folder / "page.html"
+    (frame,) = data_of(page)["frames"]
+    assert data_of(page)["layers"] == ["color", "key", "depth"]
+    assert (frame["layers"], frame["has_alpha"]) == ([[True, True], [False, False]], [True, False])
+    key = decode(bytes_of(page, "radiance-0-0-1"), HEIGHT, WIDTH)
+    np.testing.assert_array_equal(key, (image / 2).astype(np.float16))
+    assert (decode(bytes_of(page, "radiance-0-0-2"), HEIGHT, WIDTH) == 7).all()
+    assert (decode_map(bytes_of(page, "alpha-0-0"), HEIGHT, WIDTH) == 51 / 255).all()
+
+
+def test_a_layer_that_no_image_has_is_one_line(folder, capsys):
+    write("a.exr", render(0))
+    write("b.exr", render(1))
+    assert main(["compare", "a.exr", "b.exr", "-o", "page.html", "--layer", "key"]) == 2
+    assert "layer must be in one of the images, got key" in capsys.readouterr().err
+
+
+def test_an_eye_is_compared_with_what_it_should_be(folder, capsys):
+    half = ("half", 1)
+    parts = [
+        OddPart(channels=dict.fromkeys("RGB", half), data=(0, 0, 24, 20), name=f"rgba_{eye}")
+        for eye in ("left", "right")
+    ]
+    (folder / "stereo.exr").write_bytes(exr(parts, np.random.default_rng(0)))
+    eyes = {v: read_exr("stereo.exr", layers={"view": v}).color for v in ("left", "right")}
+    write_pfm("mono.pfm", eyes["right"])
+    assert main(["compare", "stereo.exr", "mono.pfm", "-o", "page.html"]) == 2
+    assert "holds the views left, right" in capsys.readouterr().err
+    for eye, image in eyes.items():
+        command = ["compare", "stereo.exr", "mono.pfm", "-o", f"{eye}.html", "--view", eye]
+        assert main(command) == 0
+        shown = decode(bytes_of(folder / f"{eye}.html", "radiance-0-0"), 20, 24)
+        np.testing.assert_array_equal(shown, image)
+
+
+def test_a_clean_file_that_keeps_the_noisy_image_shows_the_picture(folder):
+    noisy, image = render(0), render(1)
+    planes = {f"View.Noisy Image.{c}": noisy[..., i] for i, c in enumerate("RGB")}
+    planes |= {f"View.Combined.{c}": noisy[..., i] for i, c in enumerate("RGB")}
+    write_channels("noisy.exr", planes, formats=dict.fromkeys(planes, "float"))
+    write_exr("clean.exr", image, like="noisy.exr")
+    assert main(["compare", "noisy.exr", "clean.exr", "-o", "page.html"]) == 0
+    for place, expected in enumerate((noisy, image)):
+        shown = decode(bytes_of(folder / "page.html", f"radiance-0-{place}"), HEIGHT, WIDTH)
+        np.testing.assert_array_equal(shown, expected.astype(np.float16))
 
 
 def test_page_names_nothing_outside_of_itself(folder):
