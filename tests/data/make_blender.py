@@ -1,4 +1,6 @@
-"""Render the two small Blender frames of ``tests/data/blender``: ``python make_blender.py FOLDER``.
+"""Render the small Blender frames of ``tests/data/blender``: ``python make_blender.py FOLDER``.
+
+Two as ``frame_*.exr``, and the same with all passes of light and colour as ``lights_*.exr``.
 
 Needs ``bpy`` 5.0 from PyPI, which the tests do not: they read the committed files. The camera
 pans and moves, one object moves and turns, so that neither sign of the vector pass is ambiguous.
@@ -73,11 +75,24 @@ def settings(scene: bpy.types.Scene) -> None:
     image.file_format, image.color_depth, image.exr_codec = "OPEN_EXR_MULTILAYER", "16", "ZIP"
 
 
+def light_passes(layer: bpy.types.ViewLayer) -> None:
+    """All that adds up to the beauty, and no cryptomatte."""
+    for kind in ("diffuse", "glossy", "transmission"):
+        for part in ("direct", "indirect", "color"):
+            setattr(layer, f"use_pass_{kind}_{part}", True)
+    layer.use_pass_emit = layer.use_pass_environment = True
+    layer.cycles.use_pass_volume_direct = layer.cycles.use_pass_volume_indirect = True
+    layer.use_pass_cryptomatte_object = False
+
+
 if __name__ == "__main__":
     folder = Path(sys.argv[-1]).resolve()
     scene = build()
     settings(scene)
-    for number in (1, 2):
-        scene.frame_set(number)
-        scene.render.filepath = str(folder / f"frame_{number:04d}.exr")
-        bpy.ops.render.render(write_still=True)
+    for name in ("frame", "lights"):
+        if name == "lights":
+            light_passes(scene.view_layers[0])
+        for number in (1, 2):
+            scene.frame_set(number)
+            scene.render.filepath = str(folder / f"{name}_{number:04d}.exr")
+            bpy.ops.render.render(write_still=True)

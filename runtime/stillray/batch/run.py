@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from stillray.batch.file_layout import CleanPicture, Layout, ViewFrame
+from stillray.batch.lights import denoise_lights
 from stillray.batch.read_ahead import AHEAD, run_overlapped
 from stillray.batch.resume import Recipe, file_digest, is_finished
 from stillray.batch.scene_cuts import Agreement, CutDetector
 from stillray.batch.shot import RunStep, ShotFrame, window
 from stillray.families.contract import State
-from stillray.io.channels.roles import holds_irradiance
 from stillray.pipeline.denoiser import Denoiser
 
 
@@ -215,10 +215,7 @@ class _Run:
     def _denoise(self, view: ViewFrame) -> CleanPicture:
         if not view.lights:
             return CleanPicture(self._denoiser.denoise(view.frame), {})
-        bare = [name for name in view.lights if holds_irradiance(name)]
-        return CleanPicture(
-            *self._denoiser.denoise_layers(view.frame, view.lights, irradiance=bare)
-        )
+        return CleanPicture(*denoise_lights(self._denoiser, view.frame, view.lights))
 
     def write(self, step: RunStep, denoised: _Denoised) -> FrameReport:
         start, clamped = time.perf_counter(), 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -61,7 +62,8 @@ class RendererTable:
     """All rules, in order; by role the components of layers and of files of one buffer.
 
     ``lights`` and ``never`` are patterns of names of layers that are light, and of those that are
-    not for all that; ``irradiance`` are names of lights without the colour of surfaces.
+    not for all that; ``colors`` are names of lights without the colour of surfaces, to those of the
+    layers of that colour.
     """
 
     rules: tuple[Rule, ...]
@@ -69,7 +71,7 @@ class RendererTable:
     alone: dict[str, tuple[tuple[str, ...], ...]]
     lights: tuple[str, ...]
     never: tuple[str, ...]
-    irradiance: frozenset[str]
+    colors: Mapping[str, str]
 
 
 @lru_cache(maxsize=1)
@@ -102,7 +104,7 @@ def parse_table(text: str) -> RendererTable:
         alone,
         lights=tuple(lights["layers"]),
         never=tuple(lights["never"]),
-        irradiance=frozenset(lights["irradiance"]),
+        colors=lights["colors"],
     )
 
 

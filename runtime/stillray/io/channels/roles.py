@@ -22,11 +22,11 @@ from stillray.io.channels.renderers import ROLES, Rule, renderer_table
 __all__ = [
     "ROLES",
     "LayerMatch",
+    "color_of_light",
     "find_alone",
     "find_layers",
     "find_lights",
     "gather",
-    "holds_irradiance",
     "parse_overrides",
 ]
 
@@ -183,9 +183,11 @@ def find_lights(
     return found
 
 
-def holds_irradiance(light: str) -> bool:
-    """Whether a renderer gives a layer of light without the colour of the surfaces it falls on."""
-    return _split_prefix(light)[1] in renderer_table().irradiance
+def color_of_light(light: str) -> str | None:
+    """The layer of the colour that a layer of light is without; None if it is with its colour."""
+    prefix, name = _split_prefix(light)
+    color = renderer_table().colors.get(name)
+    return None if color is None else prefix + color
 
 
 def find_alone(

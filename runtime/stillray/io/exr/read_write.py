@@ -18,7 +18,14 @@ from stillray.errors import InputError
 from stillray.frame import Frame, check_samples
 from stillray.io.atomic import atomic_path
 from stillray.io.channels.motion_convention import MotionConvention
-from stillray.io.channels.roles import LayerMatch, find_alone, find_layers, find_lights, gather
+from stillray.io.channels.roles import (
+    LayerMatch,
+    color_of_light,
+    find_alone,
+    find_layers,
+    find_lights,
+    gather,
+)
 from stillray.io.exr.container import Window
 from stillray.io.exr.file import Channels, ExrFile
 from stillray.io.exr.jitter import find_jitter
@@ -177,7 +184,8 @@ def read_lights(
     Returns
     -------
     dict of str to (h, w, 3) float32
-        By name, in the data window of the color.
+        By name, in the data window of the color. Beside lights without the colour of surfaces
+        stand the layers of that colour, where the file has them.
 
     Raises
     ------
@@ -186,7 +194,7 @@ def read_lights(
     """
     file = ExrFile.of_layers(path, layers)
     color = _color_and_more(file, layers)[0]
-    channels = _lights(file, names, layers)
+    channels = _with_colors(file, _lights(file, names, layers))
     wanted = dict.fromkeys(name for listed in channels.values() for name in listed)
     planes = file.read(wanted, file.window(color.channels[0]))
     return {
@@ -565,6 +573,19 @@ def _lights(
             # named by a user, it need not be known to be light
             known[name] = find_layers(file.channels, {"color": name})[0].channels
         found[name] = known[name]
+    return found
+
+
+def _with_colors(
+    file: ExrFile, lights: Mapping[str, tuple[str, ...]]
+) -> dict[str, tuple[str, ...]]:
+    """Channels of layers of light, and of the colours of those that are without theirs."""
+    found = dict(lights)
+    for light in lights:
+        color = color_of_light(light)
+        channels = tuple(f"{color}.{c}" for c in "RGB")
+        if color is not None and all(channel in file.channels for channel in channels):
+            found.setdefault(color, channels)
     return found
 
 

@@ -1,0 +1,93 @@
+"""Light passes without the colour of surfaces: times their colours they add up to the beauty."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import stillray
+from stillray.batch.lights import denoise_lights
+from stillray.io.exr.read_write import read_channels, read_lights
+from tests.conftest import make_frame
+
+BLENDER = Path(__file__).parents[1] / "data" / "blender"
+KINDS = ("Diffuse", "Glossy", "Transmission")
+REST = ("Emission", "Environment", "Volume Direct", "Volume Indirect")
+SHAPE = 34, 45
+
+
+def added_up(channels):
+    """What a compositor makes of Blender's passes."""
+
+    def layer(name):
+        return np.stack([channels[f"ViewLayer.{name}.{c}"] for c in "RGB"], axis=-1)
+
+    total = sum(layer(name) for name in REST)
+    for kind in KINDS:
+        light = layer(f"{kind} Direct") + layer(f"{kind} Indirect")
+        total = total + light * layer(f"{kind} Color")
+    return total, layer("Combined")
+
+
+def difference(channels):
+    total, beauty = added_up(channels)
+    return np.abs(total - beauty) / (beauty + 1e-3)
+
+
+@pytest.mark.parametrize("model", ["high", "fast"])
+def test_passes_of_a_real_file_add_up_to_the_clean_beauty(model, tmp_path):
+    options = stillray.ShotOptions(aovs=())
+    sources = str(BLENDER / "lights_####.exr")
+    stillray.denoise_shot(sources, tmp_path / "c_####.exr", model=model, options=options)
+    for number in (1, 2):
+        noisy = read_channels(BLENDER / f"lights_{number:04d}.exr")
+        clean = read_channels(tmp_path / f"c_{number:04d}.exr")
+        assert list(clean) == list(noisy)
+        assert difference(clean).mean() < max(5e-4, difference(noisy).mean())
+        assert difference(clean).max() < 3e-3  # a few roundings of half floats
+        changed = np.abs(added_up(clean)[1] - added_up(noisy)[1]).mean()
+        assert changed > 0.02 * added_up(noisy)[1].mean()
+
+
+def test_colours_are_read_beside_the_light_that_needs_them():
+    path = BLENDER / "lights_0001.exr"
+    assert set(read_lights(path, ["ViewLayer.Diffuse Direct", "ViewLayer.Emission"])) == {
+        "ViewLayer.Diffuse Direct", "ViewLayer.Diffuse Color", "ViewLayer.Emission",
+    }  # fmt: skip
+    # a file without the colour
+    assert set(read_lights(BLENDER / "frame_0001.exr")) == {"ViewLayer.Diffuse Direct"}
+
+
+def test_no_light_is_lost_where_the_colour_is_black_beside_a_silhouette():
+    frame = make_frame(*SHAPE)
+    color = np.full((*SHAPE, 3), 0.5, np.float32)
+    color[:, 20:] = 0
+    light = frame.color + 0.1
+    layers = {"Diffuse Direct": light, "Diffuse Color": color}
+    frame = stillray.Frame(color=light * color)
+    with stillray.Denoiser("high", threads=1) as denoiser:
+        image, clean = denoise_lights(denoiser, frame, layers)
+    assert image[:, 20:22].max() > 1e-3  # what the kernels carried over the edge
+    found = clean["Diffuse Direct"] * clean["Diffuse Color"]
+    np.testing.assert_allclose(found, image, rtol=1e-4, atol=1e-5)
+    assert clean["Diffuse Direct"].max() <= light.max()  # never divided by almost nothing
+
+
+def test_light_without_its_colour_is_filtered_as_it_is():
+    frame = make_frame(*SHAPE)
+    layers = {"DiffDir": frame.color / 2}
+    with stillray.Denoiser("fast", threads=1) as denoiser:
+        _, found = denoise_lights(denoiser, frame, layers)
+        denoiser.state = None
+        _, expected = denoiser.denoise_layers(frame, layers, irradiance=["DiffDir"])
+    np.testing.assert_array_equal(found["DiffDir"], expected["DiffDir"])
+
+
+def test_light_that_is_not_finite_stays_where_it_is():
+    frame = make_frame(*SHAPE)
+    light = frame.color.copy()
+    light[5, 5], light[9, 9] = np.nan, np.inf
+    layers = {"DiffDir": light, "DiffCol": np.full((*SHAPE, 3), 0.5, np.float32)}
+    with stillray.Denoiser("fast", threads=1) as denoiser:
+        _, found = denoise_lights(denoiser, frame, layers)
+    assert all(np.isfinite(layer).all() for layer in found.values())
