@@ -32,11 +32,11 @@ def follow_nearer(motion_nchw: Tensor, depth_nchw: Tensor) -> Tensor:
     order = torch.remainder(row, 3) * 4 + torch.remainder(column, 3)
     least, first, step = depth, order, torch.zeros_like(depth)
     around = zip(neighbours(depth, 2 * _FAR), neighbours(order, 99.0), strict=True)
-    for index, (other, place) in enumerate(around):
-        if index == 4:  # the pixel itself
+    for number, (other, place) in enumerate(around):
+        if number == 4:  # the pixel itself
             continue
         nearer = (other < least) | ((other == least) & (place < first))
-        step = torch.where(nearer, float(index), step)
+        step = torch.where(nearer, float(number), step)
         first, least = torch.where(nearer, place, first), torch.where(nearer, other, least)
     hidden = least < depth * _NEARER
     step = torch.where(hidden, step, 4.0)

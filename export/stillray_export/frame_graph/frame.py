@@ -180,21 +180,15 @@ class FrameGraph(nn.Module):
         held, trusted, noise, kept = self._look_back(frame, past, motion, guides, (light, exposure))
         relit = (frame.moves > 0) & (kept < LEAST_KEPT)
         final = torch.where(relit, own, exposure)
-        local = local_luminance(tone_map(light, final), spec.transfer.local_size)
-        counts, before = frame.counts, held[:, 3:] * trusted
-        weight = sample_weight(light, local, before, final, spec.temporal)
-        new, weight = bound(irradiance, weight)
-        weight = torch.where(frame.broken > 0, FILLED_WEIGHT, weight)
-        mean, total = accumulate(new, weight, held[:, :3], before, spec.temporal)
-        disoccluded = (total <= weight).to(torch.float32)
-        total, worth = total * counts.share, weight * counts.share
+        held = torch.cat([held[:, :3], held[:, 3:] * trusted], 1)
+        mean, total, sample, local = self._accumulate(frame, held, irradiance, light, final)
+        disoccluded = (total <= sample[:, 3:]).to(torch.float32)
+        counts = frame.counts
+        total, worth = total * counts.share, sample[:, 3:] * counts.share
         places = follow_nearer(motion, frame.depth)
         modulator, albedo, frames = self._albedo(frame, past, by, places)
         previous, valid = recall(past.output, places, sharp=self.options.sharp_recall)
         previous, valid = forget_uncovered(previous, valid, disoccluded, trusted)
-        if "local_luminance" in spec.network.features:
-            toned = tone_map(luminance(mean), final)
-            local = local_luminance(toned, spec.transfer.local_size)
         prepared = Prepared(
             irradiance=mean,
             held=total,
@@ -221,7 +215,24 @@ class FrameGraph(nn.Module):
             numbers=numbers,
             albedo=albedo,
         )
-        return prepared, torch.cat([new, worth], 1), state
+        return prepared, torch.cat([sample[:, :3], worth], 1), state
+
+    def _accumulate(
+        self, frame: Buffers, held: Tensor, irradiance: Tensor, light: Tensor, exposure: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Mean and samples, this frame's sample with its weight, and what is usual around pixels.
+
+        ``(1, c, h, w)`` with 3, 1, 4 and 1 channels; ``held`` is the past at these pixels.
+        """
+        spec, size = self.spec, self.spec.transfer.local_size
+        local = local_luminance(tone_map(light, exposure), size)
+        weight = sample_weight(light, local, held[:, 3:], exposure, spec.temporal)
+        new, weight = bound(irradiance, weight)
+        weight = torch.where(frame.broken > 0, FILLED_WEIGHT, weight)
+        mean, total = accumulate(new, weight, held[:, :3], held[:, 3:], spec.temporal)
+        if "local_luminance" in spec.network.features:
+            local = local_luminance(tone_map(luminance(mean), exposure), size)
+        return mean, total, torch.cat([new, weight], 1), local
 
     def _albedo(
         self, frame: Buffers, past: State, by: Tensor, places: Tensor

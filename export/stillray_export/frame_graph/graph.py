@@ -76,7 +76,7 @@ def traced(
         torch.onnx.export(
             module,
             tuple(example),
-            file,
+            file,  # type: ignore[arg-type]  # the tracing exporter takes one
             input_names=list(given),
             output_names=list(left),
             opset_version=OPSET,

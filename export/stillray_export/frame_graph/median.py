@@ -35,13 +35,13 @@ def masked_median(values: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
         below = ((order[:, None] <= low + step * ladder) * counts[:, None]).sum(0)
         low = low + step * (below <= wanted).to(torch.float32).sum()
         step = step / _WAYS
-    first = _least_above(values, order, counts, low)
-    first_order = first.clamp(min=1e-37).log()
-    reached = ((order <= first_order) * counts).sum()
-    next_one = _least_above(values, order, counts, first_order)
+    first = _least(values, (order > low) & (counts > 0))
+    # by the values: a logarithm taken anew may be rounded otherwise
+    reached = ((values <= first) * counts).sum()
+    next_one = _least(values, (values > first) & (counts > 0))
     second = torch.where(reached > (count / 2).floor(), first, next_one)
     return (first + second) / 2, count
 
 
-def _least_above(values: Tensor, order: Tensor, counts: Tensor, low: Tensor) -> Tensor:
-    return torch.where((order > low) & (counts > 0), values, 3e38).min()
+def _least(values: Tensor, counts: Tensor) -> Tensor:
+    return torch.where(counts, values, 3e38).min()
