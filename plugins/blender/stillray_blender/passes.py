@@ -47,12 +47,14 @@ def missing_in_file(path: str, *, temporal: bool) -> list[str]:
     from stillray.io.channels.roles import find_layers
     from stillray.io.exr.file import ExrFile
 
-    found = {match.role for match in find_layers(ExrFile.open(path, headers_only=True).channels)}
+    matches = find_layers(ExrFile.open(path, headers_only=True).channels)
+    found = {match.role for match in matches}
     features = [role for role in ("albedo", "normal", "depth") if role not in found]
     lacks = [_NO_FEATURES.format(f"pass for {', '.join(features)}")] if features else []
     if temporal and "motion" not in found:
         lacks.append(_NO_VECTOR)
-    return lacks
+    # of several view layers one is denoised
+    return lacks + [match.note for match in matches if "layers are not used" in match.note]
 
 
 def set_up(scene) -> list[str]:
