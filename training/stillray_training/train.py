@@ -30,6 +30,7 @@ from stillray.cli import program
 from stillray.errors import InputError
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec, load
+from stillray.model_spec.loader import FilterNetwork
 from stillray_training.dataset import (
     NOISY,
     Batch,
@@ -367,6 +368,10 @@ def main(
 ) -> None:
     """Train a model."""
     spec = load(model)
+    if spec.family not in FAMILIES:
+        raise InputError(
+            f"model must be of {', '.join(FAMILIES)}, got {spec.name}, which learns as it denoises"
+        )
     if threads:
         torch.set_num_threads(threads)
     if steps:
@@ -378,6 +383,8 @@ def main(
 
 def without_branches(spec: ModelSpec) -> ModelSpec:
     """The same model as plain convolutions: Fan et al. 2021, table 5, "without RepVGG"."""
+    if isinstance(spec.network, FilterNetwork):
+        raise InputError(f"model must have branches to go without, got {spec.name}")
     network = dataclasses.replace(
         spec.network, branches=(max(spec.network.branches),), identity=False
     )

@@ -23,6 +23,7 @@ from stillray.batch.shot import (
     steps_to_run,
 )
 from stillray.errors import InputError
+from stillray.families.contract import Keeps
 from stillray.families.registry import family_of
 from stillray.frame import check_samples
 from stillray.io.channels.motion_detection import Detection
@@ -68,6 +69,9 @@ class ShotOptions:
     max_memory
         Bytes that the process should stay below; None for whole frames. Of files with several
         views each takes its share.
+    state
+        File that keeps what a model has learned: the run goes on from it if it is there, and
+        writes it in the end. None for none.
     workers
         Local processes that take a chunk of the shot each; None for this process alone.
     scheduler
@@ -89,6 +93,7 @@ class ShotOptions:
     resume: bool = False
     threads: int | None = None
     max_memory: int | None = None
+    state: str | None = None
     workers: int | None = None
     scheduler: str | None = None
     chunk: int | None = None
@@ -100,6 +105,10 @@ class ShotOptions:
             raise InputError(f"workers must be 1 or more, got {self.workers}")
         if self.workers is not None and self.scheduler is not None:
             raise InputError(f"workers must not be given with a scheduler, got {self.workers}")
+        if self.state is not None and (self.in_chunks or self.resume):
+            raise InputError(
+                f"state must be given without workers, a scheduler or resume, got {self.state}"
+            )
         if self.chunk is not None and not self.in_chunks:
             raise InputError(
                 f"chunk must be given with --scheduler or --workers, got {self.chunk} alone"
@@ -337,6 +346,7 @@ def plan_run(
         cuts=cuts,
         threads=options.threads,
         max_memory=options.max_memory,
+        state=None if options.state is None else _state(options.state, chosen, layout),
     )
     return PlannedShot(
         options=options,
@@ -360,6 +370,17 @@ def _check_outputs(jobs: Sequence[ShotFrame], layout: Layout, *, resume: bool) -
             f"output must be an .exr file for the views {', '.join(layout.views)}, or --view must "
             f"choose one, got {maps[0]}"
         )
+
+
+def _state(name: str, model: ModelInfo, layout: Layout) -> Path:
+    """The file of a state; whether a model has one to keep is found out before frames are run."""
+    if not isinstance(family_of(model.spec), Keeps):
+        raise InputError(f"state must be that of a model that learns as it runs, got {model.name}")
+    if layout.views:
+        raise InputError(f"state must be of one view, got {', '.join(layout.views)}")
+    if not Path(name).absolute().parent.is_dir():
+        raise InputError(f"{name}: the folder must exist")
+    return Path(name)
 
 
 def _memory(model: ModelInfo, options: ShotOptions, frames: int) -> int:

@@ -45,6 +45,8 @@ class ShotSettings:
         Of the denoiser; None for all that there are.
     max_memory
         Bytes, see `stillray.Denoiser`.
+    state
+        File to go on from, if it is there, and to write in the end, see `Denoiser.save`.
     """
 
     model: str
@@ -55,6 +57,7 @@ class ShotSettings:
     cuts: bool = True
     threads: int | None = None
     max_memory: int | None = None
+    state: Path | None = None
 
     def run(
         self, model: ModelInfo, steps: Iterable[RunStep], report: Callable[[FrameReport], None]
@@ -92,7 +95,11 @@ class ShotSettings:
         with Denoiser(
             model, threads=self.threads, temporal=self.temporal, max_memory=most
         ) as denoiser:
+            if self.state is not None and self.state.exists():
+                denoiser.load(self.state)
             run_steps(denoiser, chain([first], todo), how, report)
+            if self.state is not None:
+                denoiser.save(self.state)
 
     def find_model(self) -> ModelInfo:
         """The model on this machine.

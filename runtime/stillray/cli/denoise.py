@@ -144,6 +144,14 @@ def denoise(
             "slower, with the same pixels but for rounding."
         ),
     ] = None,
+    state: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="Of a model that learns as it runs: go on from what this file holds, if it is "
+            "there, and write it in the end.",
+        ),
+    ] = None,
     temporal: Annotated[
         bool, typer.Option("--temporal/--no-temporal", help="Accumulate over frames.")
     ] = True,
@@ -211,6 +219,7 @@ def denoise(
         resume=resume,
         threads=threads,
         max_memory=None if max_memory is None else parse_memory(max_memory),
+        state=state,
         workers=workers,
         scheduler=scheduler,
         chunk=chunk,

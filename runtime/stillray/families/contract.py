@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -200,4 +200,17 @@ class Family(Protocol):
 
     def step(self, plan: Plan, context: Context) -> Step:
         """Run a frame as it was planned."""
+        ...
+
+
+@runtime_checkable
+class Keeps(Protocol):
+    """A family whose states can be written to files."""
+
+    def pack(self, state: State) -> dict[str, np.ndarray]:
+        """A state as float32 arrays by name."""
+        ...
+
+    def unpack(self, arrays: Mapping[str, np.ndarray]) -> State:
+        """`pack` undone; `InputError` where the arrays are not those of a state."""
         ...

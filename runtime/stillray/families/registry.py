@@ -10,6 +10,7 @@ from stillray.families.contract import Family
 from stillray.families.fused_kernels import FusedKernelsModel
 from stillray.families.kernel_pyramid import KernelPyramidModel
 from stillray.families.multi_resolution import MultiResolutionModel
+from stillray.families.online import OnlineModel
 from stillray.families.temporal_kernels import TemporalKernels
 from stillray.model_spec.loader import ModelSpec
 
@@ -18,6 +19,7 @@ FAMILIES: Mapping[str, Callable[[ModelSpec], Family]] = {
     "kernel-pyramid": KernelPyramidModel,
     "multi-resolution-kernels": MultiResolutionModel,
     "bilateral-grids": BilateralGridModel,
+    "cross-regression": OnlineModel,
 }
 
 

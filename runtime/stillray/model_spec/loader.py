@@ -29,6 +29,13 @@ FEATURES = (
     "albedo.r", "albedo.g", "albedo.b", "albedo.luminance",
     "normal.x", "normal.y", "normal.z", "depth",
     "previous.r", "previous.g", "previous.b", "previous.luminance", "previous.valid",
+    "pilot_a.r", "pilot_a.g", "pilot_a.b", "pilot_b.r", "pilot_b.g", "pilot_b.b",
+)  # fmt: skip
+#: What the network of a model that learns while it denoises is given, in this order.
+ONLINE_FEATURES = (
+    "pilot_a.r", "pilot_a.g", "pilot_a.b", "pilot_b.r", "pilot_b.g", "pilot_b.b",
+    "albedo.r", "albedo.g", "albedo.b", "normal.x", "normal.y", "normal.z",
+    "previous.r", "previous.g", "previous.b",
 )  # fmt: skip
 #: exp of twice the bound of logits, times a window, must stay far inside float32 (3e38).
 MAX_LOGIT = 40
@@ -39,6 +46,7 @@ _MAX_TEXT = 500  # characters of one value
 _MAX_NAME = 64
 _MAX_LIST = 64  # values
 _MAX_WIDTH = 1024  # planes
+_MAX_ONLINE_WIDTH = 64  # planes of a network whose weights and moments are kept with the past
 _MAX_BLOCKS = 64
 _MAX_LEVELS = 8  # every one halves the resolution
 _MAX_NETWORK_KERNEL = 31  # pixels
@@ -244,6 +252,30 @@ class BilateralGrids:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FilterNetwork:
+    """A U-Net of plain convolutions that sets a filter (Choi et al. 2024, section 4.4)."""
+
+    features: tuple[str, ...]  # input planes by name
+    widths: tuple[int, ...]  # filters of each level; every level halves the resolution
+
+    def __post_init__(self) -> None:
+        if self.features != ONLINE_FEATURES:
+            raise SpecError(f"network.features must be {', '.join(ONLINE_FEATURES)}")
+        _within("levels of network.widths", len(self.widths), 1, _MAX_LEVELS)
+        _each("network.widths", self.widths, 1, _MAX_ONLINE_WIDTH)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrossBilateral:
+    """A cross-bilateral filter that is learned while it runs (Choi et al. 2024, eq. 8 to 13)."""
+
+    learning_rate: float  # of Adam, one step a frame, [0, 0.1]
+
+    def __post_init__(self) -> None:
+        _within("decoder.learning_rate", self.learning_rate, 0, 0.1)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Training:
     """The recipe that `stillray-train` follows."""
 
@@ -305,8 +337,8 @@ class ModelSpec:
     demodulate: Demodulate
     transfer: Transfer
     temporal: Temporal
-    network: ImportanceNetwork | PyramidNetwork | GuideNetwork
-    decoder: FusedKernels | PyramidKernels | BilateralGrids
+    network: ImportanceNetwork | PyramidNetwork | GuideNetwork | FilterNetwork
+    decoder: FusedKernels | PyramidKernels | BilateralGrids | CrossBilateral
     training: Training
 
     @property
@@ -349,6 +381,7 @@ FAMILIES = {
     "kernel-pyramid": Family(PyramidNetwork, PyramidKernels),
     "multi-resolution-kernels": Family(PyramidNetwork, FusedKernels),
     "bilateral-grids": Family(GuideNetwork, BilateralGrids),
+    "cross-regression": Family(FilterNetwork, CrossBilateral),
 }
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from stillray.model_spec.loader import (
     BilateralGrids,
+    CrossBilateral,
     FusedKernels,
     ImportanceNetwork,
     ModelSpec,
     PyramidKernels,
     PyramidNetwork,
 )
+from stillray.model_spec.network_weights import PARAMETERS
 
 _NEIGHBOURS = 8
 
@@ -20,6 +22,8 @@ def network_outputs(spec: ModelSpec) -> list[tuple[int, int]]:
     An output has the frame's height and width, rounded up, over its reduction.
     """
     network, decoder = spec.network, spec.decoder
+    if isinstance(decoder, CrossBilateral):
+        return [(PARAMETERS, 1)]
     if isinstance(decoder, BilateralGrids):
         return [(2 * decoder.grids - 1, 1)]
     if isinstance(network, ImportanceNetwork):

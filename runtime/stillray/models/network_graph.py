@@ -49,11 +49,15 @@ class Interface:
         In the order in which they are given.
     multiplications
         Of one frame, a pixel.
+    weights
+        Names and shapes of those tensors of the file in whose place others may be given: what a
+        model has learned since.
     """
 
     features: int
     outputs: tuple[Planes, ...]
     multiplications: float
+    weights: tuple[tuple[str, tuple[int, ...]], ...] = ()
 
 
 def interface_of(graph: Graph) -> Interface:
@@ -64,7 +68,7 @@ def interface_of(graph: Graph) -> Interface:
     GraphError
         It holds an operator, or a use of one, that no export of stillray writes, or is too large.
     """
-    features = _features(graph)
+    features, weights = _features(graph), _weights(graph)
     known = {"features": Planes(features, 1)}
     work = 0.0
     for node in graph.nodes:
@@ -90,12 +94,15 @@ def interface_of(graph: Graph) -> Interface:
         features=features,
         outputs=tuple(known[name] for name in graph.outputs),
         multiplications=work,
+        weights=weights,
     )
 
 
 def _features(graph: Graph) -> int:
-    if [source.name for source in graph.inputs] != ["features"] or "features" in graph.tensors:
-        names = ", ".join(source.name for source in graph.inputs[:8])
+    others = [source.name for source in graph.inputs if source.name not in graph.tensors]
+    first = [source.name for source in graph.inputs[:1]]
+    if first != ["features"] or others != ["features"]:
+        names = ", ".join(others[:8])
         raise GraphError(f"the one input must be features, got {names or 'none'}")
     shape = graph.inputs[0].shape
     if len(shape) != _RANK or shape[0] != 1 or shape[2:] != (None, None):
@@ -104,6 +111,18 @@ def _features(graph: Graph) -> int:
     if planes is None or not 1 <= planes <= MAX_PLANES:
         raise GraphError(f"features must have 1 to {MAX_PLANES} planes, got {planes}")
     return planes
+
+
+def _weights(graph: Graph) -> tuple[tuple[str, tuple[int, ...]], ...]:
+    """Tensors of the file that are inputs, too: their shapes must be those of the file."""
+    for source in graph.inputs[1:]:
+        shape = graph.tensors[source.name].shape
+        if source.shape != shape:
+            raise GraphError(f"input {source.name} must have shape {shape}, got {source.shape}")
+    found = tuple((source.name, graph.tensors[source.name].shape) for source in graph.inputs[1:])
+    if len(dict(found)) != len(found):
+        raise GraphError("inputs must have names of their own")
+    return found
 
 
 class _Inputs:
@@ -210,6 +229,19 @@ def _concatenation(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
     return Planes(sum(part.count for part in parts), parts[0].reduction), 0.0
 
 
+def _pooling(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
+    """Maxima of 2x2 pixels: as cheap as any operator, and no other window or stride is taken."""
+    fixed = {"auto_pad": "NOTSET", "ceil_mode": 0, "dilations": (1, 1), "storage_order": 0}
+    of_two = {"kernel_shape": (2, 2), "strides": (2, 2), "pads": (0, 0, 0, 0)}
+    _only(node, 1, {**fixed, **of_two})
+    for name in ("kernel_shape", "strides"):
+        _require(node, name in node.attributes, f"must have {name} (2, 2)")
+    taken = inputs.planes(0)
+    reduction = taken.reduction * 2
+    _require(node, reduction <= _MAX_REDUCTION, f"must reduce {_MAX_REDUCTION} times at most")
+    return Planes(taken.count, reduction), 0.0
+
+
 def _doubling(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
     free = ("coordinate_transformation_mode", "cubic_coeff_a", "extrapolation_value", "mode",
             "nearest_mode")  # fmt: skip
@@ -227,6 +259,7 @@ OPERATORS: dict[str, _Rule] = {
     "Clip": _clip,
     "Concat": _concatenation,
     "Conv": _convolution,
+    "MaxPool": _pooling,
     "Relu": _pointwise,
     "Resize": _doubling,
     "Sigmoid": _pointwise,

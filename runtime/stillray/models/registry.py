@@ -13,6 +13,7 @@ from typing import Any
 from stillray.errors import InputError
 from stillray.model_spec.loader import FusedKernels, ModelSpec, SpecError, from_json
 from stillray.model_spec.network_outputs import network_outputs
+from stillray.model_spec.network_weights import network_weights
 from stillray.models.frame_graph import FRAME_SUFFIX
 from stillray.models.network_graph import Interface
 from stillray.models.session import read_checked
@@ -81,21 +82,31 @@ def find_model(name: str | os.PathLike[str]) -> ModelInfo:
         return _fitting(read_model(path))
     files, aliases = _files(), qualities()
     wanted = aliases.get(str(name), str(name))
-    if wanted in files:
-        return _fitting(read_model(files[wanted]))
+    if packaged := files.get(wanted) or _files(UNLISTED).get(wanted):
+        return _fitting(read_model(packaged))
     raise InputError(
         f"model must be one of {', '.join([*files, *aliases])} or the path of an .onnx file, "
         f"got {name}"
     )
 
 
+def steps_of(family: str) -> dict[str, Path]:
+    """Graphs of learning that come with stillray for the models of a family, by name."""
+    path = _folder() / "steps" / f"{family}.onnx"
+    return {"train_step": path} if path.is_file() else {}
+
+
 def _folder() -> Path:
     return Path(str(resources.files("stillray.models")))
 
 
-def _files() -> dict[str, Path]:
+#: Folder of models that are found by their name and not listed: those on trial.
+UNLISTED = "unlisted"
+
+
+def _files(folder: str = "") -> dict[str, Path]:
     """Packaged models by name."""
-    paths = sorted(_folder().glob("*.onnx"))
+    paths = sorted((_folder() / folder).glob("*.onnx"))
     engines = (WHOLE_SUFFIX, FRAME_SUFFIX)
     return {path.stem: path for path in paths if not path.stem.endswith(engines)}
 
@@ -186,6 +197,12 @@ def require_fit(interface: Interface, spec: ModelSpec, origin: Path | str) -> No
         raise InputError(
             f"{origin}: its network must take the {features} features of its specification, "
             f"takes {interface.features}"
+        )
+    weights = network_weights(spec)
+    if list(interface.weights) != weights:
+        raise InputError(
+            f"{origin}: the weights that its network takes must be the {len(weights)} of its "
+            f"specification, takes {len(interface.weights)} or others"
         )
     wanted = network_outputs(spec)
     given = [(planes.count, planes.reduction) for planes in interface.outputs]

@@ -52,10 +52,22 @@ class Network:
     ----------
     path, threads, providers
         As `open_session` takes them.
+    steps
+        Name of a graph that comes with stillray, beside the network: where its file is. Opened
+        when it is first run, and not read strictly, being stillray's own.
     """
 
-    def __init__(self, path: Path, *, threads: int, providers: tuple[Provider, ...] | None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        threads: int,
+        providers: tuple[Provider, ...] | None,
+        steps: Mapping[str, Path] | None = None,
+    ) -> None:
         self._path = path
+        self._threads, self._steps = threads, dict(steps or {})
+        self._opened: dict[str, Any] = {}
         self._thread = ThreadPoolExecutor(1, "stillray-network")
         try:
             self._session = self._thread.submit(
@@ -64,7 +76,6 @@ class Network:
         except BaseException:
             self.close()
             raise
-        self._names = [output.name for output in self._session.get_outputs()]
 
     def run(self, graph: str, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """The outputs by name, without their batch axis.
@@ -72,26 +83,48 @@ class Network:
         Parameters
         ----------
         graph
-            ``"network"``, the one there is.
+            ``"network"``; ``"weights"``, which runs nothing and gives those of the file that may
+            be given in their place; or the name of a step.
         inputs
-            ``"features"``: ``(1, features, h, w)`` float32.
+            Of the network ``"features"``, ``(1, features, h, w)`` float32, and weights by name.
 
         Raises
         ------
         InputError
-            ONNX Runtime cannot run the network on that.
+            ONNX Runtime cannot run the graph on that.
         """
         return self.begin(graph, inputs).result()
 
     def begin(self, graph: str, inputs: Mapping[str, np.ndarray]) -> Running:
         """As `run`, without waiting for the end; runs that were begun follow each other."""
-        if graph != "network":
-            raise ValueError(f"graph must be 'network', got {graph!r}")
         import onnxruntime as ort
 
         options = ort.RunOptions()
-        future = self._thread.submit(self._session.run, None, dict(inputs), options)
-        return Running(future, options, self._path, self._names)
+        if graph == "weights":
+            file, interface = read_checked(self._path)
+            held = {name: file.graph.tensors[name][None] for name, _ in interface.weights}
+            known: Future[Any] = Future()
+            known.set_result(list(held.values()))
+            return Running(known, options, self._path, list(held))
+        session = self._session if graph == "network" else self._step(graph)
+        names = [output.name for output in session.get_outputs()]
+        future = self._thread.submit(session.run, None, dict(inputs), options)
+        return Running(future, options, self._path, names)
+
+    def _step(self, graph: str) -> Any:
+        if graph not in self._steps:
+            known = ", ".join(("network", "weights", *self._steps))
+            raise ValueError(f"graph must be one of {known}, got {graph!r}")
+        if graph not in self._opened:
+            import onnxruntime as ort
+
+            # in this thread, whose denormals stay as they are: they are the host's
+            self._opened[graph] = ort.InferenceSession(
+                str(self._steps[graph]),
+                _options(self._threads),
+                providers=["CPUExecutionProvider"],
+            )
+        return self._opened[graph]
 
     def close(self) -> None:
         """Stop the thread."""
@@ -196,20 +229,11 @@ def open_session(
     available = ort.get_available_providers()
     if missing := [name for name in wanted if name not in available]:
         raise InputError(f"providers must be among {', '.join(available)}, got {missing[0]}")
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
-    options.log_severity_level = 4  # what goes wrong is raised, and told in one line
+    options = _options(threads)
     if trace is not None:
         options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
         options.enable_profiling = True
         options.profile_file_prefix = str(trace)
-    # a plan of all tensors in one block is laid out for the worst of sizes, beside what the arena
-    # holds by then: a sixth to a quarter more memory and no less time, see docs/decisions.md
-    options.enable_mem_pattern = False
-    # denoising is called between a host's own work: idle threads must not burn its cores
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     if flush_denormals:
         options.add_session_config_entry("session.set_denormal_as_zero", "1")
     try:
@@ -221,6 +245,23 @@ def open_session(
     if (got := session.get_providers()[: len(wanted)]) != wanted:
         raise InputError(f"providers must all start, asked for {wanted}, got {got}")
     return session
+
+
+def _options(threads: int) -> Any:
+    """What all sessions have in common."""
+    import onnxruntime as ort
+
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
+    options.log_severity_level = 4  # what goes wrong is raised, and told in one line
+    # a plan of all tensors in one block is laid out for the worst of sizes, beside what the arena
+    # holds by then: a sixth to a quarter more memory and no less time, see docs/decisions.md
+    options.enable_mem_pattern = False
+    # denoising is called between a host's own work: idle threads must not burn its cores
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    return options
 
 
 def _first_line(error: Exception) -> str:

@@ -17,11 +17,12 @@ from stillray.arrays.strips import Strips, available_threads
 from stillray.arrays.watch import Progress
 from stillray.arrays.workspace import Workspace
 from stillray.errors import InputError
-from stillray.families.contract import Context, Engine, Family, Request, State
+from stillray.families.contract import Context, Engine, Family, Keeps, Request, State
 from stillray.families.registry import FAMILIES
+from stillray.families.saved_state import read_arrays, write_arrays
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
-from stillray.models.registry import DEFAULT_MODEL, ModelInfo, find_model
+from stillray.models.registry import DEFAULT_MODEL, ModelInfo, find_model, steps_of
 from stillray.models.session import Network, Provider, WatchedEngine
 from stillray.pipeline.layers import validated
 from stillray.pipeline.output import Target
@@ -90,7 +91,10 @@ class Denoiser:
         self._family = self.families[self.model.family](self.model.spec)
         #: Where the network runs.
         self.engine: Engine = engine or Network(
-            self.model.path, threads=threads, providers=tuple(providers) if providers else None
+            self.model.path,
+            threads=threads,
+            providers=tuple(providers) if providers else None,
+            steps=steps_of(self.model.family),
         )
         self._owns_engine = engine is None
         self._turns = Turns()
@@ -127,6 +131,38 @@ class Denoiser:
     @state.setter
     def state(self, value: State | None) -> None:
         self._state, self._shared = value, True
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the past to a file, .npz of plain arrays, from which `load` goes on exactly.
+
+        Raises
+        ------
+        InputError
+            The model's past is not kept in files, or there is none, or the file cannot be written.
+        """
+        keeps = self._keeps()
+        if self._state is None:
+            raise InputError("state must be saved after a frame, got none yet")
+        write_arrays(path, keeps.pack(self._state))
+
+    def load(self, path: str | os.PathLike[str]) -> None:
+        """Go on from what `save` wrote.
+
+        Raises
+        ------
+        InputError
+            The file is not one, or is another model's.
+        """
+        keeps = self._keeps()
+        self.state = keeps.unpack(read_arrays(path))
+
+    def _keeps(self) -> Keeps:
+        if not isinstance(self._family, Keeps):
+            raise InputError(
+                f"state must be that of a model that learns while it denoises, got "
+                f"{self.model.name}, whose past is made anew from a few frames"
+            )
+        return self._family
 
     def reset(self) -> None:
         """Forget the past: call it at a cut. What was learned from frames outlives cuts."""

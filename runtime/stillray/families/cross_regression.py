@@ -1,0 +1,207 @@
+"""Cross-regression (Choi et al. 2024, section 4.1): pilot estimates from two halves of the samples.
+
+Around every sixteenth pixel one half's radiance, albedo and normals explain the other half's
+radiance, by a line that is fitted in a window; what the lines say of a pixel is blended. The noise
+of the half that explains is not that of the half that is explained, so that it is not copied.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import cv2
+import numpy as np
+
+from stillray.arrays.strips import Strips
+
+WINDOW = 17  # pixels, odd (section 3)
+SPACING = 4  # pixels from center to center: one pixel in 16 (section 3)
+_REACH = WINDOW // 2
+_PIXELS = WINDOW**2
+# Epsilon of eq. 6, in log radiance, and its square for eq. 7: noise that no eye sees.
+_NOISE = np.float32(0.01)
+# Tikhonov: the mean square that an explanatory variable must have in a window, in its own unit, to
+# have half the slope that it would have without.
+RIDGE = 1e-3
+#: What a pixel's own color weighs in the blend of eq. 5, in like pixels: where no center is like
+#: it, lines of others are drawn on far beyond what they were fitted to.
+ALONE = np.float32(0.1)
+_LEAST_WEIGHT = 1e-6  # of a window, in pixels: outside of frames there is nothing to fit
+# Centers whose windows are taken out at once, and rows of centers that are added up at once:
+# constants, as sums must not depend on strips.
+_CENTERS = 64
+_ROWS = 4
+_COLORS = 3
+
+
+def pilots(
+    first: np.ndarray, second: np.ndarray, guides: np.ndarray, strips: Strips
+) -> tuple[np.ndarray, np.ndarray]:
+    """Both pilot estimates (eq. 3 to 7).
+
+    A pilot is limited to the range of what it was fitted to, within the window around a pixel: a
+    line that is drawn on beyond its pixels invents light.
+
+    Parameters
+    ----------
+    first, second : (3, h, w) float32
+        The two halves of a frame's samples: log of one and exposed radiance.
+    guides : (g, h, w) float32
+        Albedo, normals: what both halves share; g may be 0.
+    strips
+        Where the work runs.
+
+    Returns
+    -------
+    two (3, h, w) float32
+        What the first half explains of the second, and the other way round.
+    """
+    height, width = first.shape[1:]
+    # centers lie at 2, 6, 10, ...: beyond the last row or column they stand for it
+    rows, columns = (-(-size // SPACING) for size in (height, width))
+    sides = [(0, 0), (_REACH, _REACH + rows * SPACING - height + 1)]
+    sides.append((_REACH, _REACH + columns * SPACING - width + 1))
+    edge = partial(np.pad, pad_width=sides, mode="edge")
+    inside = np.pad(np.ones((1, height, width), np.float32), sides)
+    shared = np.concatenate([edge(guides), inside])
+    padded = [np.concatenate([edge(half), edge(deviation(half)[None])]) for half in (first, second)]
+    targets = [edge(second), edge(first)]
+
+    def work(blocks: slice) -> list[np.ndarray]:
+        return [
+            _block(padded, targets, shared, range(top, min(top + _ROWS, rows)), columns)
+            for top in range(blocks.start * _ROWS, blocks.stop * _ROWS, _ROWS)
+        ]
+
+    count = -(-rows // _ROWS)
+    found = [part for parts in strips.run(work, count, _ROWS * _PIXELS * columns) for part in parts]
+    total = np.zeros((2, _COLORS + 1, *shared.shape[1:]), np.float32)
+    for index, part in enumerate(found):
+        top = SPACING * _ROWS * index + SPACING // 2
+        total[:, :, top : top + part.shape[2]] += part
+    total = total[..., _REACH : _REACH + height, _REACH : _REACH + width]
+    results = []
+    for sums, own, other in zip(total, (first, second), (second, first), strict=True):
+        sums[:_COLORS] += ALONE * own
+        estimate = np.ascontiguousarray(sums[:_COLORS] / (sums[_COLORS] + ALONE))
+        results.append(_limited(estimate, other))
+    return results[0], results[1]
+
+
+def deviation(log_radiance: np.ndarray) -> np.ndarray:
+    """Standard deviation of a pixel's noise (section 4.1): its distance from its eight neighbours.
+
+    Parameters
+    ----------
+    log_radiance : (3, h, w) float32
+
+    Returns
+    -------
+    (h, w) float32
+        Length of the difference between the color and the mean of those around it; those outside
+        of the frame are as at its edge.
+    """
+    around = np.full((3, 3), 1 / 8, np.float32)
+    around[1, 1] = 0
+    squares = np.zeros(log_radiance.shape[1:], np.float32)
+    for plane in log_radiance:
+        squares += (plane - cv2.filter2D(plane, -1, around, borderType=cv2.BORDER_REPLICATE)) ** 2
+    return np.sqrt(squares, out=squares)
+
+
+def _block(
+    padded: list[np.ndarray],
+    targets: list[np.ndarray],
+    shared: np.ndarray,
+    rows: range,
+    columns: int,
+) -> np.ndarray:
+    """Sums of eq. 5 over some rows of centers: ``(2, 4, h, w)``, of both halves."""
+    height = SPACING * (len(rows) - 1) + WINDOW
+    sums = np.zeros((2, _COLORS + 1, height, shared.shape[2]), np.float32)
+    for row in rows:
+        top = SPACING * (row - rows.start)
+        for left in range(0, columns, _CENTERS):
+            count = min(_CENTERS, columns - left)
+            take = partial(_windows, row=row, left=left, count=count)
+            common = take(shared)
+            # 1, color, guides, in that order: the color is written over for the second half
+            variables = np.empty((count, _COLORS + len(shared), _PIXELS), np.float32)
+            variables[:, 0] = 1
+            middle = common[..., _PIXELS // 2, None]
+            np.subtract(common[:, :-1], middle[:, :-1], out=variables[:, 1 + _COLORS :])
+            for half, planes in enumerate(padded):
+                weights = _explain(take(planes), common[:, -1], variables)
+                lines = _fit(variables, weights, take(targets[half]))
+                said = lines @ variables
+                said *= weights[:, None]
+                where = sums[half, :, top : top + WINDOW]
+                _add_windows(where, said, weights, left)
+    return sums
+
+
+def _windows(planes: np.ndarray, row: int, left: int, count: int) -> np.ndarray:
+    """Windows around some centers of a row: ``(count, planes, pixels)``."""
+    top = SPACING * row + SPACING // 2
+    part = planes[:, top : top + WINDOW]
+    views = np.lib.stride_tricks.sliding_window_view(part, WINDOW, axis=2)
+    start = SPACING * left + SPACING // 2
+    chosen = views[:, :, start : start + SPACING * count : SPACING]  # (p, 17, count, 17)
+    return np.ascontiguousarray(chosen.transpose(2, 0, 1, 3)).reshape(count, len(planes), -1)
+
+
+def _explain(planes: np.ndarray, inside: np.ndarray, variables: np.ndarray) -> np.ndarray:
+    """Fill in the color's variables (eq. 6); gives the weights (eq. 7), ``(count, pixels)``."""
+    middle = planes[..., _PIXELS // 2, None]
+    noise, own = planes[:, _COLORS], middle[:, _COLORS]
+    apart = variables[:, 1 : 1 + _COLORS]
+    np.subtract(planes[:, :_COLORS], middle[:, :_COLORS], out=apart)
+    squares = np.einsum("ncp,ncp->np", apart, apart)
+    variance = np.square(noise)
+    variance += own**2 + _NOISE**2
+    squares /= variance
+    np.negative(squares, out=squares)
+    weights = np.exp(squares, out=squares)
+    weights *= inside
+    apart /= (noise + (own + _NOISE))[:, None]
+    return weights
+
+
+def _fit(variables: np.ndarray, weights: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """Weighted least squares (eq. 4): ``(count, 3, variables)``."""
+    size = variables.shape[1]
+    weighed = variables * weights[:, None]
+    normal = (weighed @ variables.transpose(0, 2, 1)).astype(np.float64)
+    right = (weighed @ targets.transpose(0, 2, 1)).astype(np.float64)
+    total = normal[:, 0, 0].copy()
+    diagonal = np.einsum("nii->ni", normal)
+    diagonal[:, 1:] += RIDGE * total[:, None] + _LEAST_WEIGHT
+    diagonal[:, 0] += _LEAST_WEIGHT
+    assert diagonal.shape[1] == size
+    lines = np.linalg.solve(normal, right)
+    wrong = ~np.isfinite(lines).all(axis=(1, 2))
+    if wrong.any():  # the weighted mean
+        lines[wrong] = 0
+        lines[wrong, 0] = right[wrong, 0] / (total[wrong, None] + _LEAST_WEIGHT)
+    return lines.transpose(0, 2, 1).astype(np.float32)
+
+
+def _add_windows(sums: np.ndarray, said: np.ndarray, weights: np.ndarray, left: int) -> None:
+    """Add windows of what lines say, and of weights, at their places in rows of a block."""
+    count = len(said)
+    said = said.reshape(count, _COLORS, WINDOW, WINDOW).transpose(1, 2, 3, 0)
+    weights = weights.reshape(count, WINDOW, WINDOW).transpose(1, 2, 0)
+    start = SPACING * left + SPACING // 2
+    for column in range(WINDOW):
+        at = slice(start + column, start + column + SPACING * count, SPACING)
+        sums[:_COLORS, :, at] += said[:, :, column]
+        sums[_COLORS, :, at] += weights[:, column]
+
+
+def _limited(estimate: np.ndarray, explained: np.ndarray) -> np.ndarray:
+    """A pilot within the range of what it was fitted to, around each pixel."""
+    around = np.ones((WINDOW, WINDOW), np.uint8)
+    for plane, target in zip(estimate, explained, strict=True):
+        cv2.min(plane, cv2.dilate(target, around), dst=plane)
+        cv2.max(plane, cv2.erode(target, around), dst=plane)
+    return estimate

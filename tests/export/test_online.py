@@ -1,0 +1,111 @@
+"""The graphs of the model that learns while it denoises are what torch would compute."""
+
+import cv2
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("onnx")
+
+from stillray.families.filter_network import split as split_arrays  # noqa: E402
+from stillray.families.online import CHECKERED  # noqa: E402
+from stillray.families.online_learning import CROP  # noqa: E402
+from stillray.models.registry import find_model, steps_of  # noqa: E402
+from stillray.models.session import Network  # noqa: E402
+from stillray_export.online import layout_of  # noqa: E402
+from stillray_training.networks.filter_parameters import (  # noqa: E402
+    Differentiable,
+    filter_parameters,
+    split,
+    start,
+)
+from stillray_training.online.step import (  # noqa: E402
+    LOSS_EPSILON,
+    Learning,
+    loss,
+    train_step,
+)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return find_model("online")
+
+
+@pytest.fixture(scope="module")
+def network(model):
+    engine = Network(model.path, threads=1, providers=None, steps=steps_of(model.family))
+    yield engine
+    engine.close()
+
+
+def lesson(rng):
+    """A part of a frame: smooth light and noise of both halves; some of it without a past."""
+
+    def smooth():
+        planes = cv2.resize(rng.random((8, 8, 3), np.float32), (CROP, CROP))
+        return planes.transpose(2, 0, 1)
+
+    light = smooth()
+    noisy = [light + 0.2 * rng.random(light.shape) for _ in range(4)]
+    inside = np.ones((1, 1, CROP, CROP), np.float32)
+    inside[..., 100:] = 0
+    valid = rng.random((1, CROP, CROP)) < 0.8
+    features = np.concatenate([*noisy[:2], smooth(), smooth(), light * valid])
+    past = np.concatenate([noisy[2] * valid, noisy[3] * valid, valid])
+    return {
+        "features": features[None].astype(np.float32),
+        "past": past[None].astype(np.float32),
+        "inside": inside,
+    }
+
+
+def test_steps_are_those_of_torch_in_float64(model, network, rng):
+    """Torch's own float32 is 3e-4 off by now: Adam makes as much of a tiny slope as of a large."""
+    layout = layout_of(model.spec)
+    how = Learning(layout=layout, loss_epsilon=LOSS_EPSILON, checkered=CHECKERED)
+    begun = start(layout, model.spec.training.seed)[None]
+    state = [begun.double(), *[torch.zeros_like(begun).double()] * 2]
+    arrays = [tensor.float().numpy() for tensor in state]
+    for number in range(1, 6):
+        crop = {**lesson(rng), "rate": np.array([1e-3], np.float32)}
+        crop["step"] = np.array([number], np.float32)
+        given = dict(zip(("weights", "first", "second"), arrays, strict=True))
+        found = network.run("train_step", given | crop)
+        arrays = [found[f"next_{name}"][None] for name in ("weights", "first", "second")]
+        exact = {name: torch.from_numpy(array).double() for name, array in crop.items()}
+        value, *state = train_step(*state, **exact, how=how)
+        assert float(found["loss"]) == pytest.approx(float(value), rel=1e-5)
+    np.testing.assert_allclose(arrays[0], state[0].numpy(), atol=1e-5)
+    assert np.abs(arrays[0] - begun.numpy()).max() > 3e-3
+
+
+def test_slopes_are_those_of_finite_differences(model, rng):
+    """In float64: of the loss as it is written, with respect to a few weights."""
+    layout = layout_of(model.spec)
+    how = Learning(layout=layout, loss_epsilon=LOSS_EPSILON, checkered=CHECKERED)
+    weights = start(layout, 3).double()
+    crop = {name: torch.from_numpy(a[..., :16, :16]).double() for name, a in lesson(rng).items()}
+    given = (crop["features"], crop["past"], crop["inside"])
+    slopes = torch.func.grad(loss)(weights, *given, how)
+    for index in (0, 1080, -50, -3, -1):
+        step = torch.zeros_like(weights)
+        step[index] = 1e-6
+        change = loss(weights + step, *given, how) - loss(weights - step, *given, how)
+        assert float(change) / 2e-6 == pytest.approx(float(slopes[index]), rel=1e-3, abs=1e-9)
+
+
+def test_learned_weights_take_the_place_of_those_in_the_file(model, network, rng):
+    layout = layout_of(model.spec)
+    features = lesson(rng)["features"][..., :20, :28]
+    held = network.run("weights", {})
+    assert list(held) == [name for name, _ in layout]
+    other = start(layout, 99)
+    for weights, given in (
+        ({name: torch.tensor(array) for name, array in held.items()}, {}),
+        (split(other, layout), split_arrays(other.numpy(), layout)),
+    ):
+        (found,) = network.run("network", {"features": features, **given}).values()
+        for operators in (None, Differentiable()):
+            wanted = filter_parameters(weights, torch.from_numpy(features), operators)
+            np.testing.assert_allclose(found, wanted[0].numpy(), atol=1e-5)

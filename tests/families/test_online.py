@@ -1,0 +1,257 @@
+"""The model that learns while it denoises: hard cases, its guard, and what is kept of it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import stillray
+from stillray.errors import InputError
+from stillray.families.contract import State
+from stillray.families.online_learning import Learned, Learner, Lesson, crop_of
+from stillray.families.online_past import Past, logarithm, radiance_of
+from stillray.models.registry import find_model
+from stillray.pipeline.denoiser import Denoiser
+from tests.conftest import make_frame
+
+
+def halves(height, width, seed=0, shift=0.0, **changes):
+    """A frame, and an independent second half of its samples."""
+    frame = make_frame(height, width, seed, shift)
+    second = make_frame(height, width, seed + 1000, shift).color
+    return dataclasses.replace(frame, color_b=second, **changes)
+
+
+@pytest.fixture(scope="module")
+def shared():
+    """One denoiser for many tests: a session of a step takes seconds to open."""
+    with Denoiser("online", threads=1) as denoiser:
+        yield denoiser
+
+
+@pytest.fixture
+def online(shared):
+    shared.state = None
+    yield shared
+    shared.state = None
+
+
+def learned(denoiser):
+    assert isinstance(denoiser.state, State)
+    assert isinstance(denoiser.state.learned, Learned)
+    return denoiser.state.learned
+
+
+def test_one_half_alone_is_refused_and_the_error_says_how_to_get_the_other(online):
+    with pytest.raises(InputError, match=r"color_b.*another seed"):
+        online.denoise(make_frame(8, 8))
+
+
+def test_it_is_found_by_name_and_not_listed():
+    assert "online" not in [model.name for model in stillray.list_models()]
+    assert find_model("online").parameters == 30670
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 5), (33, 18), (130, 141)])
+def test_odd_sizes(online, shape):
+    for seed in range(2):
+        image = online.denoise(halves(*shape, seed))
+        assert image.shape == (*shape, 3)
+        assert image.dtype == np.float32
+        assert np.isfinite(image).all()
+        assert image.min() >= 0
+
+
+def test_it_removes_noise(online):
+    frames = [halves(48, 64, seed) for seed in range(4)]
+    for frame in frames:
+        image = online.denoise(frame)
+    row = np.mgrid[0:48, 0:64][0]
+    clean = frames[-1].albedo * (0.5 + 0.4 * np.sin(row / 9))[..., None]
+    noisy = (frames[-1].color + frames[-1].color_b) / 2
+    assert ((image - clean) ** 2).mean() < ((noisy - clean) ** 2).mean() / 5
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda f: dataclasses.replace(f, color_b=f.color),
+        lambda f: dataclasses.replace(f, color=np.zeros_like(f.color)),
+        lambda f: dataclasses.replace(f, color=0 * f.color, color_b=0 * f.color),
+        lambda f: dataclasses.replace(f, color=np.full_like(f.color, np.nan)),
+        lambda f: dataclasses.replace(f, color=1e30 * f.color, color_b=1e30 * f.color_b),
+        lambda f: dataclasses.replace(f, color=1e-30 * f.color, color_b=1e-30 * f.color_b),
+        lambda f: dataclasses.replace(f, albedo=None, normal=None, depth=None, motion=None),
+        lambda f: dataclasses.replace(f, motion=np.full_like(f.motion, np.inf)),
+    ],
+    ids=["equal", "a-zero", "black", "nan", "bright", "dark", "bare", "motion"],
+)
+def test_frames_that_teach_nothing_do_no_harm(online, change):
+    online.denoise(halves(24, 20, 1))
+    for seed in (2, 3):
+        image = online.denoise(change(halves(24, 20, seed)))
+        assert np.isfinite(image).all()
+        assert image.min() >= 0
+    assert np.isfinite(learned(online).weights).all()
+    image = online.denoise(halves(24, 20, 4))
+    assert np.isfinite(image).all()
+
+
+def test_a_black_frame_stays_black_and_a_flat_one_flat(online):
+    for level in (0.0, 0.3):
+        online.state = None
+        flat = np.full((16, 16, 3), level, np.float32)
+        for _ in range(2):
+            image = online.denoise(stillray.Frame(color=flat, color_b=flat))
+            np.testing.assert_allclose(image, flat, rtol=1e-4)
+
+
+def test_what_was_learned_outlives_a_cut_and_a_change_of_size(online):
+    online.denoise(halves(20, 20, 1))
+    before = learned(online)
+    assert before.steps == 1
+    online.reset()
+    assert online.state.temporal is None
+    np.testing.assert_array_equal(learned(online).weights, before.weights)
+    online.denoise(halves(12, 28, 2))
+    assert learned(online).steps == 2
+    online.state = None
+    online.denoise(halves(20, 20, 1))
+    assert learned(online).steps == 1
+
+
+def test_nothing_is_kept_without_the_past():
+    with Denoiser("online", threads=1, temporal=False) as denoiser:
+        image = denoiser.denoise(halves(9, 9))
+        assert np.isfinite(image).all()
+        assert denoiser.state is None
+        assert "learn" not in denoiser.last_timings
+
+
+def test_stages_that_are_told_are_those_that_run(online):
+    for seed in range(2):
+        frame = halves(16, 16, seed, shift=1.0)
+        told = {stage.name for stage in online.stages(frame) if stage.runs}
+        online.denoise(frame)
+        assert set(online.last_timings) | {"inspect"} == told | {"inspect"}
+    assert "warp" in told
+
+
+def test_a_saved_state_goes_on_exactly(online, tmp_path):
+    online.denoise(halves(21, 17, 1))
+    online.save(tmp_path / "past.npz")
+    expected = [online.denoise(halves(21, 17, seed)) for seed in (2, 3)]
+    online.state = None
+    online.load(tmp_path / "past.npz")
+    for seed, image in zip((2, 3), expected, strict=True):
+        np.testing.assert_array_equal(online.denoise(halves(21, 17, seed)), image)
+
+
+def test_a_state_of_anything_else_is_refused(online, tmp_path):
+    path = tmp_path / "past.npz"
+    with pytest.raises(InputError, match="no such file"):
+        online.load(path)
+    path.write_bytes(b"nonsense")
+    with pytest.raises(InputError, match="not a saved state"):
+        online.load(path)
+    with pytest.raises(InputError, match="none yet"):
+        online.save(path)
+    online.denoise(halves(8, 8))
+    arrays = online._family.pack(online.state)
+    for change in (
+        {"weights": arrays["weights"][1:]},
+        {"output": arrays["output"][:4]},
+        {"shape": np.array([1e9, 1], np.float32)},
+        {"more": arrays["shape"]},
+        {"weights": np.full_like(arrays["weights"], np.nan)},
+        {"weights": arrays["weights"].astype(object)},
+        {"weights": arrays["weights"].astype(np.float64)},
+    ):
+        np.savez(path, **{**arrays, **change})
+        with pytest.raises(InputError):
+            online.load(path)
+    np.savez_compressed(path, **arrays)
+    with pytest.raises(InputError, match="compressed"):
+        online.load(path)
+
+
+def test_other_models_keep_no_state(tmp_path):
+    with Denoiser("fast", threads=1) as denoiser, pytest.raises(InputError, match="learns"):
+        denoiser.save(tmp_path / "past.npz")
+
+
+class Teacher:
+    """An engine whose steps are as they are told to be."""
+
+    def __init__(self, *losses, slope=0.0):
+        self.losses, self.slope, self.runs = list(losses), slope, 0
+
+    def run(self, graph, inputs):
+        self.runs += 1
+        loss = self.losses.pop(0) if self.losses else 1.0
+        return {
+            "loss": np.float32(loss),
+            "next_weights": inputs["weights"][0] + np.float32(self.slope),
+            "next_first": inputs["first"][0],
+            "next_second": inputs["second"][0],
+        }
+
+    def close(self):
+        pass
+
+
+LESSON = Lesson(np.zeros((1, 15, 12, 12), np.float32), np.zeros((7, 10, 11), np.float32))
+
+
+@pytest.mark.parametrize(("loss", "slope"), [(np.nan, 0.1), (1.0, np.nan), (1.0, 1e6)])
+def test_a_step_that_is_not_finite_or_explodes_is_dropped(loss, slope):
+    begun = Learned.begin(np.ones(3, np.float32))
+    after, why = Learner(Teacher(loss, slope=slope), rate=1e-3, seed=1).step(begun, LESSON)
+    assert why
+    np.testing.assert_array_equal(after.weights, begun.weights)
+    assert (after.steps, after.adam_steps) == (1, 0)
+
+
+@pytest.mark.parametrize(("then", "kept"), [(1.0, False), (3.0, True), (np.nan, False)])
+def test_weights_that_have_become_worse_give_way_to_those_before(then, kept):
+    begun = dataclasses.replace(Learned.begin(np.ones(3, np.float32)), steps=15)
+    now = np.nan if np.isnan(then) else 2.0
+    teacher = Teacher(1.0, now, 1.0 if np.isnan(then) else then, slope=0.5)
+    after, why = Learner(teacher, rate=1e-3, seed=1).step(begun, LESSON)
+    assert bool(why) != kept
+    expected = 1.5 if kept else 1.0
+    np.testing.assert_array_equal(after.weights, np.full(3, expected, np.float32))
+    np.testing.assert_array_equal(after.kept, after.weights)
+
+
+def test_a_small_frame_is_a_whole_crop_and_the_rest_does_not_count():
+    crop = crop_of(LESSON, np.random.default_rng(0))
+    assert {name: array.shape[1] for name, array in crop.items()} == {
+        "features": 15, "past": 7, "inside": 1,
+    }  # fmt: skip
+    assert all(array.shape[2:] == (128, 128) for array in crop.values())
+    assert crop["inside"].sum() == 10 * 11
+    assert crop["inside"][0, 0, :10, :11].all()
+
+
+def test_logarithms_come_back(rng):
+    radiance = (rng.random((3, 4, 5)) * 10.0 ** rng.integers(-5, 6, (3, 4, 5))).astype(np.float32)
+    found = radiance_of(logarithm(radiance, 0.2), 0.2)
+    np.testing.assert_allclose(found[..., :3].transpose(2, 0, 1), radiance, rtol=2e-2, atol=1e-5)
+    assert (found[..., 3] == 1).all()
+
+
+def test_what_disagrees_has_no_past(online):
+    """A surface that was not seen before is shown as it is now alone."""
+    frame = halves(24, 24, 1)
+    online.denoise(frame)
+    assert isinstance(online.state.temporal, Past)
+    turned = dataclasses.replace(halves(24, 24, 2), normal=-frame.normal)
+    bright = dataclasses.replace(turned, color=turned.color * 50, color_b=turned.color_b * 50)
+    state = online.state
+    after = online.denoise(bright)
+    past = state.temporal
+    online.state = dataclasses.replace(
+        state, temporal=dataclasses.replace(past, output=past.output * 0)
+    )
+    np.testing.assert_array_equal(online.denoise(bright), after)

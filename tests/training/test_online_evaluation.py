@@ -1,0 +1,54 @@
+"""Frames of the evaluation of learning, and their references."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+from stillray.errors import InputError
+from stillray.io.exr.read_write import write_channels
+from stillray_training.online import evaluate, to_and_fro
+from tests.conftest import make_frame
+
+
+def test_cameras_go_to_and_fro_one_step_at_a_time_and_end_with_the_last():
+    for frames in (1, 2, 7, 30):
+        order = to_and_fro.to_and_fro(frames, 6)
+        assert len(order) == frames
+        assert order[-1] == 5
+        assert set(np.abs(np.diff(order))) <= {1}
+        assert set(order) <= set(range(6))
+    assert to_and_fro.to_and_fro(8, 3) == [1, 0, 1, 2, 1, 0, 1, 2]
+
+
+def test_cameras_are_written_as_the_simulator_takes_them(tmp_path):
+    poses = [(np.eye(4) * (index + 1)).tolist() for index in range(3)]
+    scene = {"fov_x_deg": 50.0, "frames": [{"camera_to_world": pose} for pose in poses]}
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    to_and_fro.main(tmp_path / "scene.json", tmp_path / "cameras.json", 4)
+    cameras = json.loads((tmp_path / "cameras.json").read_text())["cameras"]
+    assert [camera["camera_to_world"] for camera in cameras] == [poses[i] for i in (1, 0, 1, 2)]
+    assert {camera["fov_x_deg"] for camera in cameras} == {50.0}
+    (tmp_path / "scene.json").write_text("{}")
+    with pytest.raises(InputError, match="cameras"):
+        to_and_fro.main(tmp_path / "scene.json", tmp_path / "cameras.json", 4)
+
+
+def test_a_larger_reference_is_averaged_over_boxes(tmp_path, rng):
+    image = rng.random((8, 12, 3)).astype(np.float32)
+    path = tmp_path / "ref_0005.exr"
+    write_channels(path, {name: image[..., i] for i, name in enumerate("RGB")})
+    found = evaluate._reference(path, (4, 6))
+    expected = image.reshape(4, 2, 6, 2, 3).mean((1, 3))
+    np.testing.assert_allclose(found, expected, atol=2e-3)
+    with pytest.raises(InputError, match="multiple"):
+        evaluate._reference(path, (3, 5))
+
+
+def test_other_models_are_fed_the_mean_of_both_halves():
+    frame = make_frame(4, 4)
+    both = evaluate.mean_of_halves(evaluate.dataclasses.replace(frame, color_b=3 * frame.color))
+    np.testing.assert_allclose(both.color, 2 * frame.color, rtol=1e-6)
+    assert both.color_b is None

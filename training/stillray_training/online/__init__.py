@@ -1,0 +1,1 @@
+"""The model that learns while it denoises: its graphs, its evaluation."""

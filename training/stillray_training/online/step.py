@@ -1,0 +1,124 @@
+"""One step of learning, as a function of tensors alone (Choi et al. 2024, section 4.3).
+
+It is exported as a graph, which the runtime runs without torch.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from stillray.model_spec.network_weights import Shapes
+from stillray_training.decoders.cross_bilateral import cross_bilateral
+from stillray_training.networks.filter_parameters import (
+    Differentiable,
+    filter_parameters,
+    split,
+)
+
+#: Of Adam (Kingma and Ba 2015): decays of both moments, and what keeps 0/0 out, which is that of
+#: TensorFlow, in which the paper's network was made: steps by slopes that are rounding stay small.
+BETAS = (0.9, 0.999)
+ADAM_EPSILON = 1e-7
+# Both sides of Adam's quotient are multiplied by it: the exporter's optimiser takes what is as
+# small as an epsilon for 0.
+_SCALE = 1e4
+LOSS_EPSILON = 1e-2  # of eq. 12 and 13, in squares of pilots
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learning:
+    """What a step is of.
+
+    Attributes
+    ----------
+    layout
+        Names and shapes of the weights.
+    loss_epsilon
+        Of eq. 12 and 13, in squares of pilots.
+    checkered
+        See `stillray.families.cross_bilateral.taps`.
+    """
+
+    layout: Shapes
+    loss_epsilon: float
+    checkered: bool
+
+
+def loss(weights: Tensor, features: Tensor, past: Tensor, inside: Tensor, how: Learning) -> Tensor:
+    """Eq. 11 to 13: how far each output is from what the other half says, now and a frame ago.
+
+    Parameters
+    ----------
+    weights : (n,)
+    features : (1, 15, h, w)
+        Pilots of both halves, albedo, normals, the last output.
+    past : (1, 7, h, w)
+        The last frame's pilots at these pixels, and 1 where there are any.
+    inside : (1, 1, h, w)
+        1 where there is a frame.
+    how
+        What a step is of.
+    """
+    planes, valid = features[0], past[0, 6:]
+    theta = filter_parameters(split(weights, how.layout), features, Differentiable())[0]
+    filtered, _ = cross_bilateral(
+        planes[:6], planes[6:12], inside[0], theta, checkered=how.checkered
+    )
+    # without a past, a frame's share is 1
+    share = 1 - (1 - torch.sigmoid(theta.split([5, 1])[1][0])) * valid[0]
+    last = planes[12:15]
+    outputs = last + share * (filtered - last)
+    now = planes[:6].reshape(2, 3, *share.shape).flip(0)
+    before = past[0, :6].reshape(2, 3, *share.shape).flip(0)
+
+    def distance(wanted: Tensor) -> Tensor:
+        square = ((outputs - wanted) ** 2).sum(1)
+        return (square / ((wanted**2).sum(1) + how.loss_epsilon)).mean(0)
+
+    both = (distance(now) + valid[0] * distance(before)) / 2
+    return (both * inside[0, 0]).sum() / inside.sum()
+
+
+def train_step(
+    weights: Tensor,
+    first: Tensor,
+    second: Tensor,
+    step: Tensor,
+    rate: Tensor,
+    features: Tensor,
+    past: Tensor,
+    inside: Tensor,
+    how: Learning,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """One step of Adam.
+
+    Parameters
+    ----------
+    weights, first, second : (1, n)
+        Weights, and both moments of their slopes.
+    step : (1,)
+        How many steps there are with this one, 1 or more.
+    rate : (1,)
+        Of Adam.
+    features, past, inside, how
+        As `loss` takes them.
+
+    Returns
+    -------
+    loss : (1,)
+        Before the step.
+    weights, first, second : (1, n)
+        After it.
+    """
+    slope, value = torch.func.grad_and_value(loss)(weights[0], features, past, inside, how)
+    first = BETAS[0] * first + (1 - BETAS[0]) * slope
+    second = BETAS[1] * second + (1 - BETAS[1]) * slope**2
+    # beta ** step
+    decays = [1 - torch.exp(step * math.log(beta)) for beta in BETAS]
+    length = _SCALE * torch.sqrt(second / decays[1]) + _SCALE * ADAM_EPSILON
+    change = _SCALE * (first / decays[0]) / length
+    return value[None], weights - rate * change, first, second
