@@ -46,7 +46,11 @@ class _Node(torch.autograd.Function):
 
     @staticmethod
     def symbolic(g, features, outputs):  # type: ignore[no-untyped-def]
-        return g.op(f"{_DOMAIN}::{_NETWORK}", features, outputs=len(outputs))
+        found = g.op(f"{_DOMAIN}::{_NETWORK}", features, outputs=len(outputs))
+        # types, else the exporter complains of each
+        for value, (planes, _) in zip(found, outputs, strict=True):
+            value.setType(features.type().with_sizes([1, planes, None, None]))
+        return found
 
 
 def traced(
