@@ -284,9 +284,10 @@ def test_write_exr_keeps_windows_and_metadata_of_the_source(tmp_path, source):
 
 
 def test_write_exr_of_another_size_keeps_metadata_without_windows(tmp_path, source):
-    write_exr(tmp_path / "o.exr", np.zeros((2 * HEIGHT, 2 * WIDTH, 3), np.float32), like=source)
+    size = (2 * HEIGHT, 2 * WIDTH + 1)  # no whole number of times
+    write_exr(tmp_path / "o.exr", np.zeros((*size, 3), np.float32), like=source)
     spec = read_metadata(tmp_path / "o.exr")
-    assert (spec.x, spec.y, spec.full_width, spec.full_height) == (0, 0, 2 * WIDTH, 2 * HEIGHT)
+    assert (spec.x, spec.y, spec.full_width, spec.full_height) == (0, 0, 2 * WIDTH + 1, 2 * HEIGHT)
     assert spec.getattribute("shotName") == "the lighting department"
 
 
@@ -375,3 +376,18 @@ def test_read_exr_brings_a_cropped_part_to_the_window_of_the_color(tmp_path):
                 expected[row, column] = images[1][y, x, 0]
     np.testing.assert_array_equal(frame.depth, expected)
     np.testing.assert_array_equal(frame.color, images[0])
+
+
+def test_a_picture_of_twice_the_size_has_windows_of_twice_the_size(tmp_path):
+    source, enlarged = tmp_path / "a.exr", tmp_path / "b.exr"
+    spec = oiio.ImageSpec(4, 3, 3, "half")
+    spec.x, spec.y, spec.full_x, spec.full_y, spec.full_width, spec.full_height = 2, -1, 1, 0, 9, 7
+    sink = oiio.ImageOutput.create(str(source))
+    assert sink.open(str(source), spec)
+    sink.write_image(np.ones((3, 4, 3), np.float32))
+    sink.close()
+    write_exr(enlarged, np.ones((6, 8, 3), np.float32), like=source)
+    found = read_metadata(enlarged)
+    assert (found.x, found.y, found.width, found.height) == (4, -2, 8, 6)
+    assert (found.full_x, found.full_y, found.full_width, found.full_height) == (2, 0, 18, 14)
+    assert read_exr(enlarged).shape == (6, 8)

@@ -254,7 +254,8 @@ class PlannedShot:
         if self.layout.detection is not None:
             progress.motion(self.layout.detection)
         outputs = [job.output for job in self.jobs if job.output is not None]
-        for line in self.layout.changes(self.jobs[0].source, outputs[0]):
+        scale = family_of(self.model.spec).traits.scale
+        for line in self.layout.changes(self.jobs[0].source, outputs[0], scale):
             progress.note(line)
         ran: list[FrameReport] = []
         already, cancelled = self.already, False

@@ -155,8 +155,21 @@ class Layout:
             found.append(ViewFrame(frame, lights))
         return tuple(found)
 
-    def changes(self, source: Path, output: Path) -> list[str]:
-        """What of a source's structure its output cannot keep, each in a line."""
+    def changes(self, source: Path, output: Path, scale: int = 1) -> list[str]:
+        """What of a source's structure its output cannot keep, each in a line.
+
+        Parameters
+        ----------
+        source, output
+            Of one frame.
+        scale
+            Pixels of the picture for one of the frame, along each axis.
+        """
+        if scale > 1:
+            return [
+                f"pictures are {scale} times as wide and high: files hold the color alone, with "
+                "their windows enlarged; other layers stay in the sources"
+            ]
         if self.only_color or is_float_map(source):
             return []
         if is_float_map(output):

@@ -305,7 +305,8 @@ def write_exr(
     image : (h, w, 3) float
         Scene-linear radiance, premultiplied if the source's color was.
     like
-        The source file. Where the picture has not its size, only metadata are kept.
+        The source file. Where the picture has not its size, only metadata are kept; and the
+        windows, enlarged, where it is a whole number of times as wide and high.
     layers
         As it was read with, see `read_exr`.
     lights
@@ -492,7 +493,8 @@ def write_channels(
         Channel name to ``"half"`` or ``"float"``; ``"half"`` where not named. Values beyond
         the half range (65504) are clamped to it, never turned into infinities.
     like
-        A source file whose data window, display window and metadata are kept.
+        A source file whose metadata are kept, and its data window and display window: where the
+        planes are some times its size, enlarged by that.
     attributes
         Further metadata: name to str, int or float.
     compression
@@ -518,10 +520,11 @@ def write_channels(
     spec = oiio.ImageSpec(width, height, len(channels), whole)
     if like is not None:
         source = read_metadata(like)
-        if (source.height, source.width) == (height, width):
-            spec.x, spec.y = source.x, source.y
-            spec.full_x, spec.full_y = source.full_x, source.full_y
-            spec.full_width, spec.full_height = source.full_width, source.full_height
+        if times := _times(source, height, width):
+            spec.x, spec.y = times * source.x, times * source.y
+            spec.full_x, spec.full_y = times * source.full_x, times * source.full_y
+            spec.full_width = times * source.full_width
+            spec.full_height = times * source.full_height
         for attribute in source.extra_attribs:
             stored = attribute.name in _STORAGE_NAMES
             if not stored and not attribute.name.startswith(_STORAGE_PREFIXES):
@@ -548,6 +551,12 @@ def write_channels(
         if not sink.close() or not written:
             raise InputError(f"{path}: cannot be written: {reason(message)}")
     return clamped
+
+
+def _times(source: Any, height: int, width: int) -> int:
+    """How many times a size is that of an OpenImageIO spec; 0 if no whole number."""
+    times, rest = divmod(height, source.height)
+    return times if rest == 0 and width == times * source.width else 0
 
 
 def _require_alone(
