@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from stillray.families.feature_reconstruction import Rules
+from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
 from stillray.model_spec.loader import BilateralGrids, FusedKernels, PyramidKernels, Temporal
 
 
@@ -332,3 +334,99 @@ def _doubled(image: np.ndarray, weights: np.ndarray, y: int, x: int) -> np.ndarr
     choices = [image[row, column], image[beside], image[above]]
     mean: np.ndarray = np.average(choices, axis=0, weights=shares)
     return mean
+
+
+def feature_filters(
+    frame: dict[str, np.ndarray],
+    past: dict[str, np.ndarray],
+    outputs: list[np.ndarray],
+    rules: Rules,
+) -> dict[str, np.ndarray]:
+    """Kazmierczyk et al. 2025, section 3.4, pixel by pixel, as `stillray.families` does it.
+
+    ``frame`` has color, albedo and specular ``(h, w, 3)``; ``past`` light, albedo, specular and
+    output ``(h, w, 4)``; ``outputs`` are maps ``(planes, h, w)``, those of the picture no longer in
+    blocks. Gives image, light, albedo and specular.
+    """
+    levels, filters = len(outputs), rules.filters
+    maps = [
+        np.clip(m.astype(np.float64), -filters.logit_bound, filters.logit_bound) for m in outputs
+    ]
+    layout = target_layout(levels, filters)
+    frame = {name: value.astype(np.float64) for name, value in frame.items()}
+    past = {name: value.astype(np.float64) for name, value in past.items()}
+    height, width = frame["color"].shape[:2]
+    new = {
+        "light": _gaussian(frame["color"], maps[0], layout.light),
+        "albedo": _gaussian(frame["albedo"], maps[0], layout.guides),
+        "specular": _gaussian(frame["specular"], maps[0], layout.guides),
+    }
+    kept: dict[str, np.ndarray] = {}
+    for index, name in enumerate(("light", "albedo", "specular")):
+        kept[name] = np.zeros((height, width, 4))
+        for y, x in np.ndindex(height, width):
+            weight = np.exp(maps[0][layout.keep.start + index, y, x]) * past[name][y, x, 3]
+            shares = np.array([weight, 1]) / (weight + 1)
+            kept[name][y, x, :3] = shares @ [past[name][y, x, :3], new[name][y, x]]
+            each = shares[0] ** 2 / past[name][y, x, 3] if past[name][y, x, 3] > 0 else 0.0
+            kept[name][y, x, 3] = min(1 / (each + shares[1] ** 2), rules.max_samples)
+    by = {}
+    for name in ("albedo", "specular"):
+        albedo = kept[name][..., :3]
+        black = (albedo <= rules.demodulate.black).all(-1, keepdims=True)
+        by[name] = np.where(black, 1.0, np.clip(albedo, rules.demodulate.floor, 1))
+    light = kept["light"][..., :3]
+    planes = np.concatenate([light / by["albedo"], light / by["specular"], light], -1)
+    shares = _softmax(maps[0][layout.partition])
+    result = None
+    for level in reversed(range(1, levels)):
+        own, side = level_layout(level, levels, filters), 1 << level
+        pool = np.zeros((height // side, width // side, 9))
+        for y, x in np.ndindex(*pool.shape[:2]):
+            block = (slice(y * side, (y + 1) * side), slice(x * side, (x + 1) * side))
+            weight = shares[level][block] * kept["light"][block][..., 3]
+            pool[y, x] = (planes[block] * weight[..., None]).sum((0, 1)) / weight.sum()
+        if result is not None:
+            pool = _mixed(pool, result, maps[level][own.coarser])
+        result = _gaussian(pool, maps[level], own.denoise)
+    if result is not None:
+        planes = _mixed(planes, result, maps[0][layout.coarser])
+    planes = _gaussian(planes, maps[0], layout.denoise)
+    plain, diffuse, glossy, alone = (
+        share[..., None] for share in _softmax(maps[0][layout.compose])
+    )
+    image = diffuse * planes[..., :3] * by["albedo"] + glossy * planes[..., 3:6] * by["specular"]
+    image = image + plain * planes[..., 6:] + alone * new["light"]
+    held = (past["light"][..., 3] > 0) / (1 + np.exp(-maps[0][layout.output]))
+    image = image * (1 - held[..., None]) + past["output"][..., :3] * held[..., None]
+    return {"image": image, **kept}
+
+
+def _gaussian(values: np.ndarray, maps: np.ndarray, planes: GaussianPlanes) -> np.ndarray:
+    height, width = values.shape[:2]
+    features, importance = maps[planes.features], maps[planes.importance]
+    result = np.zeros_like(values)
+    for y, x in np.ndindex(height, width):
+        total = 0.0
+        for v in range(max(y - 1, 0), min(y + 2, height)):
+            for u in range(max(x - 1, 0), min(x + 2, width)):
+                apart = min(((features[:, y, x] - features[:, v, u]) ** 2).sum(), 60.0)
+                weight = np.exp(importance[v, u] - apart)
+                total += weight
+                result[y, x] += weight * values[v, u]
+        result[y, x] /= total
+    return result
+
+
+def _mixed(values: np.ndarray, coarser: np.ndarray, logits: np.ndarray) -> np.ndarray:
+    result = np.zeros_like(values)
+    for y, x in np.ndindex(*values.shape[:2]):
+        share = 1 / (1 + np.exp(-logits[y, x]))
+        result[y, x] = (1 - share) * values[y, x] + share * coarser[y // 2, x // 2]
+    return result
+
+
+def _softmax(logits: np.ndarray) -> np.ndarray:
+    """Of logits and of one more before them, which is 0."""
+    weights = np.exp(np.concatenate([np.zeros_like(logits[:1]), logits]))
+    return np.asarray(weights / weights.sum(0))

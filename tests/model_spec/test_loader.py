@@ -103,9 +103,29 @@ def test_a_pyramid_names_the_list_that_is_too_short():
 def test_unknown_model_lists_those_there_are():
     with pytest.raises(
         SpecError,
-        match="kpyr-5, kpyr-5s, nbg-2x1, nbg-2x3, nbg-7x3, wskp-3, wskp-6, wskp-mr, got",
+        match=r"kpyr-5, kpyr-5s, munet-x1, munet-x2, nbg-2x1, .*, online, wskp-3, .*, got",
     ):
         load("wskp-7")
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value", "message"),
+    [
+        ("network", "guide_widths", [16, 32], "guide_widths must have 3 entries like radiance_"),
+        ("network", "radiance_widths", [33, 96, 192], "radiance_widths must be even, got"),
+        ("network", "radiance", [], "network.radiance must not be empty"),
+        ("network", "guides", ["color.r"], "network.guides must be one of albedo.r"),
+        ("decoder", "scale", 3, r"decoder.scale must be in \[1, 2\], got 3"),
+        ("decoder", "features", 0, r"decoder.features must be in \[1, 32\], got 0"),
+        ("decoder", "logit_bound", 30.0, r"decoder.logit_bound must be in"),
+        ("training", "frames", 0, r"training.frames must be in"),
+    ],
+)
+def test_an_upscaler_s_rules(table, key, value, message):
+    data = json.loads(load("munet-x2").to_json())
+    data[table][key] = value
+    with pytest.raises(SpecError, match=message):
+        parse(data)
 
 
 def test_specs_are_frozen():

@@ -5,6 +5,7 @@ from itertools import product
 
 import pytest
 
+from stillray.families.filter_layout import level_layout, target_layout
 from stillray.families.multi_resolution import level_planes
 from stillray.families.pyramid_logits import level_logits
 from stillray.model_spec import load
@@ -39,3 +40,16 @@ def test_fused_kernels_at_several_resolutions():
     levels = spec.network.resolutions
     planes = [level_planes(level, levels, spec.decoder) for level in range(levels)]
     assert network_outputs(spec) == list(zip(planes, [1, 2, 4], strict=True))
+
+
+@pytest.mark.parametrize("widths", [(8,), (8, 16), (32, 96, 192)])
+def test_feature_filters_at_several_resolutions(widths):
+    spec = load("munet-x2")
+    network = replace(spec.network, radiance_widths=widths, guide_widths=widths)
+    spec = replace(spec, network=network, decoder=replace(spec.decoder, features=7))
+    levels = len(widths) + 1
+    wanted = [(4 * target_layout(levels, spec.decoder).planes, 2)]
+    wanted += [
+        (level_layout(level, levels, spec.decoder).planes, 2**level) for level in range(1, levels)
+    ]
+    assert network_outputs(spec) == wanted

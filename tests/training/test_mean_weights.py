@@ -11,7 +11,7 @@ from stillray.model_spec import load  # noqa: E402
 from stillray_training.families import FAMILIES  # noqa: E402
 from stillray_training.mean_weights import mean_weights  # noqa: E402
 from stillray_training.start import STARTED_FROM, read_start  # noqa: E402
-from stillray_training.train import CHECKPOINT, _save, load_network  # noqa: E402
+from stillray_training.train import CHECKPOINT, load_network, save  # noqa: E402
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def run(tmp_path):
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)
     folder = tmp_path / "run"
     folder.mkdir()
-    _save(folder / CHECKPOINT, spec, network, optimiser, network, 7)
+    save(folder / CHECKPOINT, spec, network, optimiser, network, 7)
     (folder / "data.json").write_text("[]")
     return folder
 

@@ -12,6 +12,7 @@ from torch.nn import functional as F
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import (
     BilateralGrids,
+    FeatureFilters,
     FusedKernels,
     ImportanceNetwork,
     PyramidKernels,
@@ -23,6 +24,7 @@ from stillray_training.decoders.multires import multi_resolution_kernels
 from stillray_training.decoders.pyramid import blended_with_sample, kernel_pyramid, resolve, unfold
 from stillray_training.networks.guide import GuideNet
 from stillray_training.networks.importance import ImportanceNet
+from stillray_training.networks.multi_branch import multi_branch_net
 from stillray_training.networks.pyramid import kernel_pyramid_net, multi_resolution_net
 
 BoxFilter = Callable[[Tensor, int], Tensor]
@@ -97,7 +99,8 @@ def _grids(maps: Tensor, batch: Mapping[str, Tensor], spec: ModelSpec, box: BoxF
     return bilateral_grids(batch["irradiance"], batch["samples"], maps, spec.decoder)
 
 
-#: By the name that specifications use.
+#: By the name that specifications use. Models that denoise and upscale are recurrent: their
+#: decoder takes and gives a past, see `stillray_training.upscaling`.
 FAMILIES = {
     "weight-sharing-kernels": Family(
         ImportanceNet, _fused, inputs=("irradiance", "samples"), modulates=False
@@ -125,3 +128,10 @@ FAMILIES = {
         leak=0.1,
     ),
 }
+
+
+def network_of(spec: ModelSpec) -> nn.Module:
+    """The network of a specification of any family, untrained."""
+    if isinstance(spec.decoder, FeatureFilters):
+        return multi_branch_net(spec)
+    return FAMILIES[spec.family].network(spec)

@@ -59,6 +59,35 @@ def make_target(sequence: Path) -> float:
     return ours / theirs - 1
 
 
+def make_targets(sequence: Path) -> float:
+    """Write targets of a sequence whose references have features of their own: all of them.
+
+    Returns
+    -------
+    float
+        Mean brightness of the targets over the references', minus 1, tone-mapped.
+    """
+    biases = []
+    for path in sorted(sequence.glob("ref_*.exr")):
+        reference = read_exr(path)
+        target = open_image_denoise(
+            reference.color, reference.albedo, reference.normal, "high", clean_features=True
+        )
+        write(sequence / path.name.replace("ref", "target"), {"color": target})
+        exposure = display_exposure(reference.color)
+        ours, theirs = (
+            float(np.mean(tone_map(image, exposure))) for image in (target, reference.color)
+        )
+        biases.append(ours / max(theirs, 1e-6) - 1)
+    return float(np.mean(biases))
+
+
+def has_own_features(sequence: Path) -> bool:
+    """Whether references come with albedo and normal, see ``--reference-features``."""
+    options = json.loads((sequence / RECORD).read_text())["options"]
+    return bool(options.get("reference_features", 0))
+
+
 def main(folder: Annotated[Path, typer.Argument(help="A folder of rendered sequences.")]) -> None:
     """Make the targets that are missing in a folder of sequences."""
     todo = [
@@ -66,7 +95,10 @@ def main(folder: Annotated[Path, typer.Argument(help="A folder of rendered seque
         for path in sorted(folder.iterdir())
         if path.is_dir() and is_complete(path) and not list(path.glob("target_*.exr"))
     ]
-    bias = [make_target(path) for path in track(todo, "targets", console=Console(stderr=True))]
+    bias = [
+        (make_targets if has_own_features(path) else make_target)(path)
+        for path in track(todo, "targets", console=Console(stderr=True))
+    ]
     if bias:
         print(
             f"{len(bias)} targets; brightness against the references: mean {np.mean(bias):+.4f}, "

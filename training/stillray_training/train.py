@@ -30,7 +30,7 @@ from stillray.cli import program
 from stillray.errors import InputError
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec, load
-from stillray.model_spec.loader import FilterNetwork
+from stillray.model_spec.loader import FeatureFilters, FilterNetwork
 from stillray_training.dataset import (
     NOISY,
     Batch,
@@ -40,7 +40,7 @@ from stillray_training.dataset import (
     load_examples,
     previous_outputs,
 )
-from stillray_training.families import FAMILIES, Family
+from stillray_training.families import FAMILIES, Family, network_of
 from stillray_training.losses import (
     blur_error,
     displayed,
@@ -157,7 +157,7 @@ def train(
     network = family.network(spec)
     optimiser = torch.optim.Adam(network.parameters(), lr=spec.training.learning_rate)
     average = copy.deepcopy(network) if spec.training.average else network
-    step = _restore(out / CHECKPOINT, spec, network, optimiser, average)
+    step = restore(out / CHECKPOINT, spec, network, optimiser, average)
     if start is not None and step == 0:
         origin = start_from(start, network, spec)
         (out / STARTED_FROM).write_text(json.dumps(origin, indent=1))
@@ -170,7 +170,7 @@ def train(
     ) as progress:
         # a list of its own: previous outputs are this model's
         examples = list(examples) or load_all(data, spec, progress)
-        _forget_after(out / LOG, step)
+        forget_after(out / LOG, step)
         (out / "data.json").write_text(json.dumps([path.name for path in sequences], indent=1))
         (out / ASSETS).write_text(json.dumps(assets_of(list(sequences)), indent=1))
         recipe = spec.training
@@ -193,19 +193,19 @@ def train(
             loss.backward()
             optimiser.step()
             if average is not network:
-                _follow(average, network, min(spec.training.average, step / (step + 10)))
+                follow(average, network, min(spec.training.average, step / (step + 10)))
             losses.append(loss.item())
             step += 1
             progress.advance(task)
             if step % _LOG_EVERY == 0:
-                _log(out / LOG, step, float(np.mean(losses)), time.monotonic() - began)
+                log_loss(out / LOG, step, float(np.mean(losses)), time.monotonic() - began)
                 losses = []
             if step % save_every == 0 or step == spec.training.steps:
-                _save(out / CHECKPOINT, spec, network, optimiser, average, step)
+                save(out / CHECKPOINT, spec, network, optimiser, average, step)
     return average
 
 
-def _follow(average: nn.Module, network: nn.Module, decay: float) -> None:
+def follow(average: nn.Module, network: nn.Module, decay: float) -> None:
     """A step of a running mean of weights."""
     with torch.no_grad():
         for mean, weight in zip(average.parameters(), network.parameters(), strict=True):
@@ -275,14 +275,15 @@ def load_network(
     spec: ModelSpec, checkpoint: Path, family: Family | None = None
 ) -> tuple[nn.Module, int]:
     """A network with a checkpoint's weights (their mean over steps), and the steps trained."""
-    network = (family or FAMILIES[spec.family]).network(spec)
-    step = _restore(checkpoint, spec, network, None, network)
+    network = family.network(spec) if family else network_of(spec)
+    step = restore(checkpoint, spec, network, None, network)
     if step == 0:
         raise InputError(f"{checkpoint}: no such checkpoint")
     return network, step
 
 
-def _log(path: Path, step: int, loss: float, seconds: float) -> None:
+def log_loss(path: Path, step: int, loss: float, seconds: float) -> None:
+    """Append a row to a log; makes it if it is missing."""
     new = not path.exists()
     with path.open("a", newline="") as file:
         writer = csv.writer(file)
@@ -291,7 +292,7 @@ def _log(path: Path, step: int, loss: float, seconds: float) -> None:
         writer.writerow([step, f"{loss:.6f}", f"{seconds:.1f}"])
 
 
-def _forget_after(path: Path, step: int) -> None:
+def forget_after(path: Path, step: int) -> None:
     """Drop the rows of steps that a resumed run takes again."""
     if path.is_file():
         with path.open(newline="") as file:
@@ -300,14 +301,15 @@ def _forget_after(path: Path, step: int) -> None:
             csv.writer(file).writerows([header, *(row for row in rows if int(row[0]) <= step)])
 
 
-def _save(
+def save(
     path: Path,
     spec: ModelSpec,
     network: nn.Module,
-    optimiser: torch.optim.Adam,
+    optimiser: torch.optim.Optimizer,
     average: nn.Module,
     step: int,
 ) -> None:
+    """Write a checkpoint, complete or not at all; ``average`` may be the network itself."""
     tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
     if average is not network:
         means = average.state_dict().items()
@@ -319,13 +321,20 @@ def _save(
         save_file(tensors, temporary, metadata={"step": str(step), "spec": spec.to_json()})
 
 
-def _restore(
+def restore(
     path: Path,
     spec: ModelSpec,
     network: nn.Module,
-    optimiser: torch.optim.Adam | None,
+    optimiser: torch.optim.Optimizer | None,
     average: nn.Module,
 ) -> int:
+    """Read a checkpoint, if there is one; its steps, 0 without.
+
+    Raises
+    ------
+    InputError
+        It is of another network.
+    """
     if not path.is_file():
         return 0
     from safetensors import safe_open
@@ -378,6 +387,14 @@ def main(
         spec = dataclasses.replace(spec, training=dataclasses.replace(spec.training, steps=steps))
     if plain:
         spec = without_branches(spec)
+    if isinstance(spec.decoder, FeatureFilters):
+        # it uses this module's checkpoints
+        from stillray_training.upscaling.loop import train_recurrent
+
+        if start:
+            raise InputError(f"start must not be given with {spec.name}, got {start}")
+        train_recurrent(spec, data, out)
+        return
     train(spec, data, out, start=start or None)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from stillray.errors import InputError
 from stillray.families.bilateral_grid import BilateralGridModel
 from stillray.families.contract import Family
+from stillray.families.feature_filters import FeatureFiltersModel
 from stillray.families.fused_kernels import FusedKernelsModel
 from stillray.families.kernel_pyramid import KernelPyramidModel
 from stillray.families.multi_resolution import MultiResolutionModel
@@ -20,6 +21,7 @@ FAMILIES: Mapping[str, Callable[[ModelSpec], Family]] = {
     "multi-resolution-kernels": MultiResolutionModel,
     "bilateral-grids": BilateralGridModel,
     "cross-regression": OnlineModel,
+    "feature-filters": FeatureFiltersModel,
 }
 
 

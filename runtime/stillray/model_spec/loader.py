@@ -37,6 +37,22 @@ ONLINE_FEATURES = (
     "albedo.r", "albedo.g", "albedo.b", "normal.x", "normal.y", "normal.z",
     "previous.r", "previous.g", "previous.b",
 )  # fmt: skip
+#: Planes of a network of two branches, in the order that `stillray.families.target_planes` fills
+#: them; counts of samples are told by sines and cosines, see there.
+RADIANCE_FEATURES = (
+    "color.r", "color.g", "color.b", "past.r", "past.g", "past.b",
+    "output.r", "output.g", "output.b",
+    "past.count.0", "past.count.1", "past.count.2", "past.count.3", "offset.x", "offset.y",
+)  # fmt: skip
+GUIDE_FEATURES = (
+    "albedo.r", "albedo.g", "albedo.b", "specular.r", "specular.g", "specular.b",
+    "normal.x", "normal.y", "normal.z", "roughness", "depth", "depth.change",
+    "past_albedo.r", "past_albedo.g", "past_albedo.b",
+    "past_specular.r", "past_specular.g", "past_specular.b",
+    "past_albedo.count.0", "past_albedo.count.1", "past_albedo.count.2", "past_albedo.count.3",
+    "past_specular.count.0", "past_specular.count.1", "past_specular.count.2",
+    "past_specular.count.3", "offset.x", "offset.y",
+)  # fmt: skip
 #: exp of twice the bound of logits, times a window, must stay far inside float32 (3e38).
 MAX_LOGIT = 40
 # A specification may come from anybody. Its numbers set loops, windows and arrays: beyond these
@@ -276,6 +292,67 @@ class CrossBilateral:
 
 
 @dataclass(frozen=True, kw_only=True)
+class BranchNetwork:
+    """MUNet: a U-Net whose radiance branch a smaller one of guides steers (Kazmierczyk et al. 2025,
+    figure 3)."""
+
+    radiance: tuple[str, ...]  # input planes of the radiance branch, by name
+    guides: tuple[str, ...]  # and of the guiding branch
+    # channels of each level; the first has half the resolution of the planes, every other one half
+    # of that before it
+    radiance_widths: tuple[int, ...]
+    guide_widths: tuple[int, ...]
+    partial: bool  # whether all levels but the first convolve half of their channels alone
+    kernel_size: int  # pixels, odd
+    branches: tuple[int, ...]  # kernel sizes trained side by side and fused for inference
+    identity: bool  # an identity branch beside them (training only)
+
+    def __post_init__(self) -> None:
+        _branches(self.kernel_size, self.branches)
+        levels = len(self.radiance_widths)
+        _within("levels of network.radiance_widths", levels, 1, _MAX_LEVELS)
+        if len(self.guide_widths) != levels:
+            raise SpecError(
+                f"network.guide_widths must have {levels} entries like radiance_widths, "
+                f"got {self.guide_widths}"
+            )
+        for key in ("radiance_widths", "guide_widths"):
+            _each(f"network.{key}", getattr(self, key), 2, _MAX_WIDTH)
+            if any(width % 2 for width in getattr(self, key)):
+                raise SpecError(f"network.{key} must be even, got {getattr(self, key)}")
+        for key, known in (("radiance", RADIANCE_FEATURES), ("guides", GUIDE_FEATURES)):
+            if not getattr(self, key):
+                raise SpecError(f"network.{key} must not be empty")
+            for name in getattr(self, key):
+                _one_of(f"network.{key}", name, known)
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """All input planes, those of the radiance branch first."""
+        return self.radiance + self.guides
+
+    @property
+    def resolutions(self) -> int:
+        """How many resolutions there are planes for: that of the picture, and each level's."""
+        return len(self.radiance_widths) + 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeatureFilters:
+    """Gaussians of feature distances that enlarge, accumulate and denoise (Kazmierczyk et al.
+    2025, section 3.4)."""
+
+    scale: int  # pixels of the picture for one of the frame, along each axis: 1 or 2
+    features: int  # of a pixel, that its filters compare with its neighbours'
+    logit_bound: float  # features and logits are clipped to +- this, (0, 20]
+
+    def __post_init__(self) -> None:
+        _within("decoder.scale", self.scale, 1, 2)
+        _within("decoder.features", self.features, 1, 32)
+        _within("decoder.logit_bound", self.logit_bound, 1e-3, 20)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Training:
     """The recipe that `stillray-train` follows."""
 
@@ -306,16 +383,19 @@ class Training:
     average: float = 0.0  # decay of the mean of weights over steps, which is what is kept; 0: none
     bfloat16: bool = False  # whether the network's convolutions run so: half the time, less exact
     still_share: float = 0.0  # share of patches of single frames of 2 to 32 samples a pixel, [0, 1]
+    frames: int = 1  # that a recurrent model is unrolled over
+    weight_decay: float = 0.0  # of Adam, see `torch.optim.AdamW`; >= 0
+    albedo_weight: float = 0.0  # weight of the error of accumulated albedos, >= 0
 
     def __post_init__(self) -> None:
         for key in (
             "display_weight", "squared_weight", "structure_weight", "steady_weight",
-            "slope_weight", "blur_weight", "hinge_weight",
+            "slope_weight", "blur_weight", "hinge_weight", "weight_decay", "albedo_weight",
         ):  # fmt: skip
             _within(f"training.{key}", getattr(self, key), 0, 1e3)
         for key in ("quiet_power", "average", "still_share", "quiet_share", "drop_feature"):
             _within(f"training.{key}", getattr(self, key), 0, 1)
-        for key in ("steps", "batch", "patch"):
+        for key in ("steps", "batch", "patch", "frames"):
             _within(f"training.{key}", getattr(self, key), 1, _MAX_COUNT)
         for key in ("history_from", "history_every", "seed"):
             _within(f"training.{key}", getattr(self, key), 0, _MAX_COUNT)
@@ -337,8 +417,8 @@ class ModelSpec:
     demodulate: Demodulate
     transfer: Transfer
     temporal: Temporal
-    network: ImportanceNetwork | PyramidNetwork | GuideNetwork | FilterNetwork
-    decoder: FusedKernels | PyramidKernels | BilateralGrids | CrossBilateral
+    network: ImportanceNetwork | PyramidNetwork | GuideNetwork | FilterNetwork | BranchNetwork
+    decoder: FusedKernels | PyramidKernels | BilateralGrids | CrossBilateral | FeatureFilters
     training: Training
 
     @property
@@ -358,8 +438,9 @@ class ModelSpec:
             _within("network.block", self.network.block, 1, 1)
         if not self.network.features:
             raise SpecError("network.features must not be empty")
-        for name in self.network.features:
-            _one_of("network.features", name, FEATURES)
+        if not isinstance(self.network, BranchNetwork):  # which knows planes of its own
+            for name in self.network.features:
+                _one_of("network.features", name, FEATURES)
         _odd("transfer.local_size", (self.transfer.local_size,), _MAX_LOCAL_SIZE)
         _within("demodulate.floor", self.demodulate.floor, 1e-6, 1)
         _within("demodulate.black", self.demodulate.black, 0, self.demodulate.floor)
@@ -382,6 +463,7 @@ FAMILIES = {
     "multi-resolution-kernels": Family(PyramidNetwork, FusedKernels),
     "bilateral-grids": Family(GuideNetwork, BilateralGrids),
     "cross-regression": Family(FilterNetwork, CrossBilateral),
+    "feature-filters": Family(BranchNetwork, FeatureFilters),
 }
 
 

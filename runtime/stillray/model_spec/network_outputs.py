@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from stillray.model_spec.loader import (
     BilateralGrids,
+    BranchNetwork,
     CrossBilateral,
+    FeatureFilters,
     FusedKernels,
     ImportanceNetwork,
     ModelSpec,
@@ -26,10 +28,14 @@ def network_outputs(spec: ModelSpec) -> list[tuple[int, int]]:
         return [(PARAMETERS, 1)]
     if isinstance(decoder, BilateralGrids):
         return [(2 * decoder.grids - 1, 1)]
+    if isinstance(network, BranchNetwork):
+        assert isinstance(decoder, FeatureFilters)
+        return _feature_outputs(network.resolutions, decoder)
     if isinstance(network, ImportanceNetwork):
         assert isinstance(decoder, FusedKernels)
         return [(2 * len(decoder.kernel_sizes) * network.block**2, network.block)]
     assert isinstance(network, PyramidNetwork)
+    assert not isinstance(decoder, FeatureFilters)
     levels = network.resolutions
     counts = [_planes(decoder, level, levels) for level in range(levels)]
     reductions = [2**level for level in range(levels)]
@@ -37,6 +43,16 @@ def network_outputs(spec: ModelSpec) -> list[tuple[int, int]]:
         counts[0] *= network.block**2
         reductions[0] = network.block
     return list(zip(counts, reductions, strict=True))
+
+
+def _feature_outputs(levels: int, decoder: FeatureFilters) -> list[tuple[int, int]]:
+    """As `stillray.families.filter_layout` lays them out."""
+    one = decoder.features + 1  # a filter compares features, and weighs pixels by one more
+    # two filters that enlarge, three accumulations, shares of levels, the filter and how much it
+    # takes of the next level, three light planes against the frame's own light, the last output
+    finest = 3 * one + 3 + (levels - 1) + 1 + 3 + 1
+    coarser = [(one + (level < levels - 1), 2**level) for level in range(1, levels)]
+    return [(4 * finest, 2), *coarser]  # the finest come by blocks of pixels
 
 
 def _planes(decoder: FusedKernels | PyramidKernels, level: int, levels: int) -> int:

@@ -146,7 +146,17 @@ class _Inputs:
         name = self._name(place)
         if name not in self._tensors:
             raise GraphError(f"{self._node.operator} must take {name} from the file")
+        if self._tensors[name].dtype != np.float32:
+            raise GraphError(f"{self._node.operator} must take {name} as float32")
         return self._tensors[name]
+
+    def number(self, place: int) -> int:
+        """A tensor of the file that holds one whole number."""
+        name = self._name(place)
+        found = self._tensors.get(name)
+        if found is None or found.dtype != np.int64:
+            raise GraphError(f"{self._node.operator} must take a whole number for {name}")
+        return int(found[0])
 
     def is_left_out(self, place: int) -> bool:
         return self._name(place) == ""
@@ -221,6 +231,27 @@ def _add(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
     return first, 0.0
 
 
+def _product(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
+    _only(node, 2, {})
+    first, second = inputs.planes(0), inputs.planes(1)
+    _require(node, first == second, "must take tensors of one size")
+    return first, float(first.count)
+
+
+def _part(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
+    """Some of the planes of a tensor, one after the other."""
+    _only(node, (4, 5), {})
+    taken = inputs.planes(0)
+    start, end, axis = (inputs.number(place) for place in (1, 2, 3))
+    _require(node, axis == 1, f"must have axis 1, got {axis}")
+    if len(inputs) > 4:
+        step = inputs.number(4)
+        _require(node, step == 1, f"must take every plane, got steps of {step}")
+    end = min(end, taken.count)
+    _require(node, 0 <= start < end, f"must take planes that there are, got {start} to {end}")
+    return Planes(end - start, taken.reduction), 0.0
+
+
 def _concatenation(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
     _only(node, (1, MAX_PLANES), {"axis": 1})
     _require(node, "axis" in node.attributes, "must have axis 1")
@@ -260,7 +291,9 @@ OPERATORS: dict[str, _Rule] = {
     "Concat": _concatenation,
     "Conv": _convolution,
     "MaxPool": _pooling,
+    "Mul": _product,
     "Relu": _pointwise,
     "Resize": _doubling,
     "Sigmoid": _pointwise,
+    "Slice": _part,
 }

@@ -24,7 +24,7 @@ from stillray.models.protobuf import Field, Wire, WireError
 #: Bytes of a file: forty times the largest that comes with stillray. Tensors lie within it.
 MAX_BYTES = 100 * 2**20
 MAX_NODES = 2000
-_FLOAT = 1  # of TensorProto.DataType
+_FLOAT, _INT64 = 1, 7  # of TensorProto.DataType
 _MOST_AXES = 8
 
 _text = partial(Field, kind="text")
@@ -117,7 +117,8 @@ class Graph:
     """Nodes in the order in which they run, and the tensors that come with them."""
 
     nodes: tuple[Node, ...]
-    tensors: Mapping[str, np.ndarray]  # float32, finite
+    # float32, finite; or int64 of one number, which says where to cut
+    tensors: Mapping[str, np.ndarray]
     inputs: tuple[Source, ...]
     outputs: tuple[str, ...]
 
@@ -214,6 +215,8 @@ def _graph(wire: Wire, data: memoryview) -> Graph:
 def _tensor(wire: Wire, data: memoryview) -> tuple[str, np.ndarray]:
     tensor = wire.decode("tensor", data, _TENSOR)
     name, shape = tensor.get("name", ""), tensor["dims"]
+    if tensor.get("data_type") == _INT64:
+        return name, _place(name, tensor)
     if tensor.get("data_type") != _FLOAT:
         raise WireError(f"its tensor {name} must hold float32")
     raw, listed = tensor.get("raw_data", memoryview(b"")), tensor["float_data"]
@@ -226,6 +229,14 @@ def _tensor(wire: Wire, data: memoryview) -> tuple[str, np.ndarray]:
     if not np.isfinite(values).all():
         raise WireError(f"its tensor {name} holds numbers that are not finite")
     return name, values.reshape(shape)
+
+
+def _place(name: str, tensor: Mapping[str, Any]) -> np.ndarray:
+    """A place along an axis: one int64."""
+    raw = tensor.get("raw_data", memoryview(b""))
+    if list(tensor["dims"]) != [1] or len(raw) != 8 or tensor["float_data"]:
+        raise WireError(f"its tensor {name} of int64 must hold one number")
+    return np.frombuffer(raw, "<i8")
 
 
 def _node(wire: Wire, data: memoryview) -> Node:

@@ -123,6 +123,11 @@ class Denoiser:
         self._strips.close()
 
     @property
+    def scale(self) -> int:
+        """Pixels of the picture for one of the frame, along each axis."""
+        return self._family.traits.scale
+
+    @property
     def state(self) -> State | None:
         """The past: a value that can be kept, and put back later; None before the first frame."""
         self._shared = True
@@ -202,7 +207,7 @@ class Denoiser:
         ----------
         frame
             The buffers. A frame of another size than the last starts a new history.
-        out : (height, width, 3) float, optional
+        out : (height * scale, width * scale, 3) float, optional
             Where the picture is put, strided or not; in half precision clamped to its range. Of 4
             channels where the frame has alpha.
         dtype
@@ -219,7 +224,7 @@ class Denoiser:
 
         Returns
         -------
-        (height, width, 3) float32, or ``out``
+        (height * scale, width * scale, 3) float32, or ``out``
             Scene-linear radiance: finite, >= 0; a mean of the accumulated irradiance of each
             window, since kernels cannot invent light, times a mean of the albedo around. With
             alpha ``(height, width, 4)``.
@@ -232,7 +237,7 @@ class Denoiser:
         Cancelled
             ``progress`` returned False.
         """
-        channels, scale = 3 if frame.alpha is None else 4, self._family.traits.scale
+        channels, scale = 3 if frame.alpha is None else 4, self.scale
         height, width = (extent * scale for extent in frame.shape)
         if frame.alpha is not None and scale != 1:
             raise InputError(f"alpha must not be given with {self.model.name}, which enlarges")

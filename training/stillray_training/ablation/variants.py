@@ -10,7 +10,7 @@ import dataclasses
 from dataclasses import dataclass
 
 from stillray.model_spec import ModelSpec, load
-from stillray.model_spec.loader import FusedKernels, ImportanceNetwork
+from stillray.model_spec.loader import FusedKernels, ImportanceNetwork, PyramidNetwork
 from stillray_training.families import FAMILIES, Family
 from stillray_training.peers import kernel_prediction, multi_resolution_prediction
 from stillray_training.train import without_branches
@@ -196,6 +196,7 @@ def _predicted(name: str, spec: ModelSpec, size: int, *, blocks: int) -> Variant
 def _multi_resolution(base: ModelSpec) -> ModelSpec:
     """The multi-resolution model, trained as the base is."""
     spec = load(MULTI_RESOLUTION)
+    assert isinstance(spec.network, PyramidNetwork)
     return dataclasses.replace(
         spec,
         aliases=(),

@@ -1,0 +1,317 @@
+"""Joint denoising and upscaling: a network of two branches says how light is filtered.
+
+Kazmierczyk et al. 2025. Everything is at the picture's pixels, of which there may be twice as many
+along each axis as in the frame: the frame's samples lie where its jitter puts them, and what was
+accumulated, the last picture among it, is brought there by motion. Pixels at which nothing is
+remembered begin anew; whether a past still holds is for the network to say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillray.families.contract import Context, Request, State, Step, Traits
+from stillray.families.feature_reconstruction import (
+    Accumulated,
+    Enlarged,
+    Past,
+    Rules,
+    reconstruct,
+)
+from stillray.families.target_grid import Grid, dilated, recalled
+from stillray.families.target_planes import Known, Surfaces, fill_planes, log_depth
+from stillray.frame import Frame
+from stillray.model_spec.loader import BranchNetwork, FeatureFilters, ModelSpec
+from stillray.stages import features
+from stillray.stages.plan import Plan, Stage
+from stillray.stages.repair import Buffers, repair_feature
+from stillray.timing import timed
+
+#: Frames that a frame's history is taken to go back.
+MEMORY_FRAMES = 32
+_GUIDES = ("roughness", "specular_albedo")
+
+
+@dataclass(frozen=True, eq=False)
+class Remembered:
+    """What the next frame looks at, at the picture's size.
+
+    Attributes
+    ----------
+    accumulated
+        Light, albedos and their samples.
+    output : (H, W, 4) float32
+        The picture, and the logarithm of the depth of its pixels.
+    exposure
+        1 / radiance.
+    """
+
+    accumulated: Accumulated
+    output: np.ndarray
+    exposure: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class UpscalePlan(Plan):
+    """The decisions on one frame, with what they were taken on.
+
+    Attributes
+    ----------
+    shape
+        Of the frame, pixels.
+    buffers
+        As given, or repaired.
+    guides
+        Roughness and specular albedo, by their names in `Frame`, as far as they are given.
+    jitter
+        The frame's.
+    past
+        None where nothing is used of it.
+    temporal
+        Whether the frame is remembered.
+    """
+
+    shape: tuple[int, int]
+    buffers: Buffers
+    guides: dict[str, np.ndarray]
+    jitter: np.ndarray | None
+    past: Remembered | None
+    temporal: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """A frame and its past at the picture's pixels; see `UpscalePlan`."""
+
+    grid: Grid
+    frame: Enlarged
+    surfaces: Surfaces
+    past: Past | None
+    exposure: float
+
+
+def alignment(spec: ModelSpec) -> int:
+    """Height and width of the network's input must be multiples of this, pixels."""
+    assert isinstance(spec.network, BranchNetwork)
+    return 1 << len(spec.network.radiance_widths)
+
+
+def rules_of(spec: ModelSpec) -> Rules:
+    """The numbers that a reconstruction obeys."""
+    assert isinstance(spec.decoder, FeatureFilters)
+    return Rules(
+        filters=spec.decoder,
+        demodulate=spec.demodulate,
+        max_samples=spec.temporal.max_samples,
+    )
+
+
+class FeatureFiltersModel:
+    """A model of the family ``feature-filters``.
+
+    Parameters
+    ----------
+    spec
+        The model's specification.
+    """
+
+    def __init__(self, spec: ModelSpec) -> None:
+        assert isinstance(spec.decoder, FeatureFilters)
+        self.spec, self.scale = spec, spec.decoder.scale
+        self.alignment, self._rules = alignment(spec), rules_of(spec)
+        self.traits = Traits(
+            required=frozenset(spec.inputs.required),
+            optional=frozenset(spec.inputs.optional),
+            scale=self.scale,
+            memory=MEMORY_FRAMES,
+            linear=False,
+        )
+
+    def plan(
+        self, frame: Frame, before: State | Plan | None, request: Request, context: Context
+    ) -> UpscalePlan:
+        """Decide what runs for a frame, and why; see `Family`."""
+        buffers = Buffers.of(frame)
+        given = {name: getattr(frame, name) for name in _GUIDES}
+        guides = {name: guide for name, guide in given.items() if guide is not None}
+        with timed(context.timings, "inspect"):
+            whole = all(context.strips.run(buffers.in_range, *frame.shape))
+            whole &= all(bool(guide.min() >= 0 and guide.max() <= 1) for guide in guides.values())
+        if not whole:
+            with timed(context.timings, "repair"):
+                buffers = buffers.repaired()
+                guides = {name: repair_feature(guide, 0.0, 1.0) for name, guide in guides.items()}
+        past, why = _past_of(frame, before, request)
+        return UpscalePlan(
+            stages=self._stages(frame, request, whole, "" if past else why),
+            shape=frame.shape,
+            buffers=buffers,
+            guides=guides,
+            jitter=frame.jitter,
+            past=past if isinstance(past, Remembered) else None,
+            temporal=request.temporal,
+        )
+
+    def _stages(
+        self, frame: Frame, request: Request, whole: bool, why_anew: str
+    ) -> tuple[Stage, ...]:
+        repair = "every value is finite and in its range"
+        if not whole:
+            repair = "a value is NaN, infinite or out of its range, or a pixel has no samples"
+        place = (
+            "where the jitter puts them"
+            if frame.jitter is not None
+            else ("at the centres of their pixels, since no jitter is given")
+        )
+        height, width = (size * self.scale for size in frame.shape)
+        return (
+            Stage("inspect", True, "values tell what a frame calls for"),
+            Stage("repair", not whole, repair),
+            Stage("enlarge", True, f"to {width} x {height} pixels; samples lie {place}"),
+            Stage("expose", True, "planes are relative to the frame's brightness"),
+            Stage("warp", not why_anew, why_anew or "history and motion are there"),
+            Stage("encode", True, f"{len(self.spec.network.features)} planes for the network"),
+            Stage("network", True, self.spec.name),
+            Stage("reconstruct", True, "filters by distances of features, at every resolution"),
+            Stage("layers", False, "none are filtered by this model"),
+            Stage(
+                "remember",
+                request.temporal,
+                "the next frame looks at this one" if request.temporal else "no next frame does",
+            ),
+        )
+
+    def step(self, plan: Plan, context: Context) -> Step:
+        """Run a frame as it was planned; see `Family`."""
+        assert isinstance(plan, UpscalePlan)
+        assert context.engine is not None
+        seen = self._see(plan, context)
+        planes = self._encode(seen, context)
+        with timed(context.timings, "network"):
+            outputs = list(context.engine.run("network", {"features": planes}).values())
+        with timed(context.timings, "reconstruct"):
+            image, kept = reconstruct(seen.frame, seen.past, outputs, self._rules, context.strips)
+            height, width = seen.grid.shape
+            image = np.ascontiguousarray(image[:height, :width])
+
+        def finish() -> State:
+            temporal: Remembered | None = None
+            if plan.runs("remember"):
+                with timed(context.timings, "remember"):
+                    temporal = _remember(seen, image, kept)
+            return State(shape=plan.shape, temporal=temporal)
+
+        return Step(image=image, finish=finish)
+
+    def _see(self, plan: UpscalePlan, context: Context) -> _Seen:
+        """A frame and its past at the picture's pixels."""
+        buffers, timings = plan.buffers, context.timings
+        grid = Grid.of(plan.shape, self.scale, self.alignment, plan.jitter)
+        every = slice(0, grid.full[0])
+
+        def taken(image: np.ndarray | None) -> np.ndarray | None:
+            return None if image is None else grid.take(image, every)
+
+        with timed(timings, "enlarge"):
+            black = np.zeros((*grid.full, 3), np.float32)
+            albedo, specular = taken(buffers.albedo), taken(plan.guides.get("specular_albedo"))
+            frame = Enlarged(
+                color=grid.take(buffers.color, every),
+                albedo=black if albedo is None else albedo,
+                specular=black if specular is None else specular,
+            )
+            surfaces = Surfaces(
+                normal=taken(buffers.normal),
+                roughness=taken(plan.guides.get("roughness")),
+                depth=taken(buffers.depth),
+                depth_unit=1.0 if buffers.depth is None else features.depth_scale(buffers.depth),
+            )
+        with timed(timings, "expose"):
+            transfer = self.spec.transfer
+            exposure = features.frame_exposure(features.luminance(buffers.color), transfer)
+            if plan.past is not None:
+                exposure = features.steady_exposure(exposure, plan.past.exposure, transfer)
+        past: Past | None = None
+        if plan.past is not None and buffers.motion is not None:
+            with timed(timings, "warp"):
+                motion = dilated(buffers.motion, buffers.depth, context.strips)
+                past = warped(plan.past, grid, motion)
+        return _Seen(grid, frame, surfaces, past, exposure)
+
+    def _encode(self, seen: _Seen, context: Context) -> np.ndarray:
+        """The network's input, ``(1, planes, H, W)``."""
+        names, full = self.spec.network.features, seen.grid.full
+        planes = context.workspace.array("planes", (1, len(names), *full))
+        nothing = np.zeros((*full, 4), np.float32)
+        empty = Past(Accumulated(nothing, nothing, nothing), nothing)
+
+        past = seen.past or empty
+        known = Known(
+            frame=seen.frame,
+            surfaces=seen.surfaces,
+            accumulated=past.accumulated,
+            output=past.output,
+            exposure=seen.exposure,
+            offsets=(seen.grid.down, seen.grid.right),
+        )
+
+        def work(rows: slice) -> None:
+            fill_planes(names, planes[0, :, rows], known.of_rows(rows))
+
+        with timed(context.timings, "encode"):
+            context.strips.run(work, *full)
+        return planes
+
+
+def _past_of(
+    frame: Frame, before: State | Plan | None, request: Request
+) -> tuple[Remembered | bool, str]:
+    """What is used of the past, or whether a plan that is only told would use it; and why not."""
+    if not request.temporal:
+        return False, "temporal accumulation is switched off"
+    if isinstance(before, UpscalePlan):
+        found: Remembered | bool = before.temporal
+        shape = before.shape
+    elif isinstance(before, State) and isinstance(before.temporal, Remembered):
+        found, shape = before.temporal, before.shape
+    else:
+        found, shape = False, frame.shape
+    if not found or shape != frame.shape:
+        return False, "first frame, or the first after a reset or a new size"
+    if frame.motion is None:
+        return False, "no motion given: where the past went is not known"
+    return found, ""
+
+
+def warped(before: Remembered, grid: Grid, motion: np.ndarray) -> Past:
+    """What is remembered, at the pixels of a grid; without samples where it lay outside.
+
+    Parameters
+    ----------
+    before
+        The last frame's.
+    grid
+        Of this frame.
+    motion : (h, w, 2) float32
+        See `stillray.families.target_grid.dilated`.
+    """
+    positions, inside = grid.past_positions(motion, slice(0, grid.full[0]))
+    kept = before.accumulated
+    remembered = (kept.light, kept.albedo, kept.specular, before.output)
+    images = [recalled(image, positions) for image in remembered]
+    for image in images:
+        image[~inside] = 0
+    return Past(Accumulated(*images[:3]), images[3])
+
+
+def _remember(seen: _Seen, image: np.ndarray, kept: Accumulated) -> Remembered:
+    height, width = seen.grid.shape
+    output = np.zeros((height, width, 4), np.float32)
+    output[..., :3] = image
+    if seen.surfaces.depth is not None:
+        output[..., 3] = log_depth(seen.surfaces.depth[:height, :width])
+    parts = (kept.light, kept.albedo, kept.specular)
+    cut = [np.ascontiguousarray(part[:height, :width]) for part in parts]
+    return Remembered(Accumulated(*cut), output, seen.exposure)

@@ -1,0 +1,429 @@
+"""Enlarging, accumulating and denoising by Gaussians of feature distances.
+
+Kazmierczyk et al. 2025, section 3.4: a frame is enlarged by a 3x3 filter whose weights fall with
+the distance of predicted features, added to what was accumulated, divided by both albedos, denoised
+at several resolutions, multiplied again, composed and mixed with the last output. What the paper
+leaves open, or does otherwise:
+
+- A filter's weight is ``exp(i_q - |f_p - f_q|^2)``: beside the distance a pixel has an importance
+  of its own, whoever looks at it, so that a firefly can be left out.
+- A past of ``n`` samples weighs ``n e^k`` against one of this frame, ``k`` predicted: logits of 0
+  give the plain mean. The samples that a mean is worth are one over the sum of its squared weights.
+- The partitioning pyramid (Balint et al. 2023): a pixel gives predicted shares of its light to the
+  coarser levels, which are weighted means; from the coarsest on every level is mixed with the next,
+  of twice its size, and filtered. So a filter smooths what was doubled, and ends it at edges.
+- Light over diffuse albedo, over specular albedo, light as it is and this frame's light alone are
+  composed by weights that add up to 1.
+
+So every step is a convex combination: no light is invented.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stillray.arrays.resample import halve
+from stillray.arrays.strips import Strips, planes_of, with_halo
+from stillray.arrays.workspace import Workspace
+from stillray.families.depth_to_space import DepthToSpace
+from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
+from stillray.families.pyramid_logits import NEIGHBOURS
+from stillray.model_spec.loader import Demodulate, FeatureFilters
+from stillray.stages.demodulate import demodulation_albedo
+
+#: Squared distances beyond it weigh as it does, 1e-26: their exponentials would be denormal.
+MOST_DISTANCE = 60.0
+_PLANES = 9  # light over diffuse albedo, over specular albedo, and as it is
+
+
+@dataclass(frozen=True, eq=False)
+class Enlarged:
+    """A frame at the picture's pixels, none of it filtered, ``(H, W, 3)`` float32.
+
+    Attributes
+    ----------
+    color
+        Radiance, finite and >= 0.
+    albedo, specular
+        In [0, 1]; zeros where there is none.
+    """
+
+    color: np.ndarray
+    albedo: np.ndarray
+    specular: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Accumulated:
+    """What was accumulated, ``(H, W, 4)`` float32: means, and the samples that they are worth.
+
+    Attributes
+    ----------
+    light, albedo, specular
+        As in `Enlarged`.
+    """
+
+    light: np.ndarray
+    albedo: np.ndarray
+    specular: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """What is remembered, at the pixels of this frame.
+
+    Attributes
+    ----------
+    accumulated
+        With no samples where the past is not known.
+    output : (H, W, 4) float32
+        The last picture; the fourth channel is not looked at.
+    """
+
+    accumulated: Accumulated
+    output: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """The numbers of a specification that a reconstruction obeys.
+
+    Attributes
+    ----------
+    filters
+        Features and the bound of logits.
+    demodulate
+        What light is divided by.
+    max_samples
+        That a mean is worth at most.
+    """
+
+    filters: FeatureFilters
+    demodulate: Demodulate
+    max_samples: float
+
+
+def reconstruct(
+    frame: Enlarged,
+    past: Past | None,
+    outputs: Sequence[np.ndarray],
+    rules: Rules,
+    strips: Strips,
+) -> tuple[np.ndarray, Accumulated]:
+    """The picture of a frame, and what is accumulated with it.
+
+    Parameters
+    ----------
+    frame
+        Of a size that all levels divide.
+    past
+        None where there is none.
+    outputs
+        The network's planes, the picture's by blocks of 2x2 pixels first, then a level each; any
+        values, what is not a number counts as 0.
+    rules
+        Of the specification.
+    strips
+        Where the work runs.
+
+    Returns
+    -------
+    image : (H, W, 3) float32
+        Radiance: a convex combination of the light around, accumulated and new, each as it is or
+        with the colour of another surface, and of the last output.
+    accumulated
+        For the next frame.
+    """
+    image, accumulated = _Reconstruction(frame, past, outputs, rules, strips).run()
+    if np.isnan(image.max()) and any(np.isnan(planes.max()) for planes in outputs):
+        outputs = [np.nan_to_num(planes, nan=0.0) for planes in outputs]
+        image, accumulated = _Reconstruction(frame, past, outputs, rules, strips).run()
+    return image, accumulated
+
+
+def gaussian(
+    values: np.ndarray,
+    features: np.ndarray,
+    weight: np.ndarray,
+    out: np.ndarray,
+    workspace: Workspace,
+) -> None:
+    """Weighted means of 3x3 pixels, whose weights fall with the distance of features.
+
+    Parameters
+    ----------
+    values : (c, h + 2, w + 2) float32
+        With a border of one pixel.
+    features : (k, h + 2, w + 2) float32
+    weight : (h + 2, w + 2) float32
+        A pixel's own, >= 0; 0 where the border lies outside of the frame, above 0 elsewhere.
+    out : (c, h, w) float32
+        Written.
+    workspace
+        Where temporaries lie.
+    """
+    height, width = out.shape[1:]
+    inner = (slice(1, 1 + height), slice(1, 1 + width))
+    total = workspace.array("total", (height, width))
+    share, apart = (workspace.array(name, (height, width)) for name in ("share", "apart"))
+    np.copyto(total, weight[inner])
+    for plane, sums in zip(values, out, strict=True):
+        np.multiply(plane[inner], total, out=sums)
+    for down, right in NEIGHBOURS:
+        place = (slice(1 + down, 1 + down + height), slice(1 + right, 1 + right + width))
+        share.fill(0)
+        for plane in features:
+            np.subtract(plane[inner], plane[place], out=apart)
+            cv2.accumulateSquare(apart, share)
+        np.minimum(share, np.float32(MOST_DISTANCE), out=share)
+        np.negative(share, out=share)
+        cv2.exp(share, dst=share)
+        share *= weight[place]
+        total += share
+        for plane, sums in zip(values, out, strict=True):
+            cv2.accumulateProduct(plane[place], share, sums)
+    np.reciprocal(total, out=total)
+    out *= total
+
+
+class _Reconstruction:
+    """One frame's reconstruction: what its steps share."""
+
+    def __init__(
+        self,
+        frame: Enlarged,
+        past: Past | None,
+        outputs: Sequence[np.ndarray],
+        rules: Rules,
+        strips: Strips,
+    ) -> None:
+        self._frame, self._past, self._rules, self._strips = frame, past, rules, strips
+        self._size = (frame.color.shape[0], frame.color.shape[1])
+        self._levels = len(outputs)
+        self._layout = target_layout(self._levels, rules.filters)
+        self._maps: list[np.ndarray | DepthToSpace] = [
+            DepthToSpace(outputs[0], strips),
+            *outputs[1:],
+        ]
+        self._enlarged = np.empty((3, *self._size), np.float32)  # this frame's light, filtered
+        self._kept = Accumulated(*(np.empty((*self._size, 4), np.float32) for _ in range(3)))
+
+    def run(self) -> tuple[np.ndarray, Accumulated]:
+        self._filter(0, 3, self._layout.light, self._fill_color, self._accumulate_light)
+        self._filter(0, 6, self._layout.guides, self._fill_guides, self._accumulate_guides)
+        pools = self._pooled()
+        coarser: np.ndarray | None = None
+        for level in reversed(range(1, self._levels)):
+            layout = level_layout(level, self._levels, self._rules.filters)
+            coarser = self._denoised(level, pools[level - 1], layout.coarser, coarser)
+        image = np.empty((*self._size, 3), np.float32)
+
+        def fill(rows: slice, out: np.ndarray) -> None:
+            self._light_planes(rows, out)
+            if coarser is not None:
+                self._mix(0, self._layout.coarser, coarser, rows, out)
+
+        def finish(rows: slice, planes: np.ndarray) -> None:
+            self._compose(rows, planes, image[rows])
+
+        self._filter(0, _PLANES, self._layout.denoise, fill, finish)
+        return image, self._kept
+
+    def _bounded(self, logits: np.ndarray) -> np.ndarray:
+        bound = np.float32(self._rules.filters.logit_bound)
+        return np.clip(logits, -bound, bound)
+
+    def _filter(
+        self,
+        level: int,
+        channels: int,
+        planes: GaussianPlanes,
+        fill: Callable[[slice, np.ndarray], None],
+        finish: Callable[[slice, np.ndarray], None],
+    ) -> None:
+        """Filter what ``fill`` writes for rows, ``(channels, rows, w)``; ``finish`` takes it."""
+        height, width = self._size[0] >> level, self._size[1] >> level
+        maps, strips = self._maps[level], self._strips
+
+        def work(rows: slice) -> None:
+            workspace = strips.workspace
+            near, _ = with_halo(rows, 1, height)
+            high = rows.stop - rows.start + 2
+            top = 1 - (rows.start - near.start)
+            filled = slice(top, top + near.stop - near.start)
+            count = self._rules.filters.features
+            parts = [
+                _framed(workspace, name, (size, high, width + 2), filled)
+                for name, size in (("values", channels), ("features", count), ("weight", 1))
+            ]
+            values, features, weight = parts
+            fill(near, values[:, filled, 1:-1])
+            features[:, filled, 1:-1] = self._bounded(maps[planes.features, near])
+            own = self._bounded(maps[planes.importance, near])
+            weight[0, filled, 1:-1] = cv2.exp(own).reshape(own.shape)
+            out = workspace.array("filtered", (channels, high - 2, width))
+            gaussian(values, features, weight[0], out, workspace)
+            finish(rows, out)
+
+        strips.run(work, height, width)
+
+    def _fill_color(self, rows: slice, out: np.ndarray) -> None:
+        out[:] = self._frame.color[rows].transpose(2, 0, 1)
+
+    def _fill_guides(self, rows: slice, out: np.ndarray) -> None:
+        out[:3] = self._frame.albedo[rows].transpose(2, 0, 1)
+        out[3:] = self._frame.specular[rows].transpose(2, 0, 1)
+
+    def _accumulate_light(self, rows: slice, planes: np.ndarray) -> None:
+        self._enlarged[:, rows] = planes
+        past = None if self._past is None else self._past.accumulated.light
+        self._accumulate(rows, 0, planes, past, self._kept.light)
+
+    def _accumulate_guides(self, rows: slice, planes: np.ndarray) -> None:
+        past = None if self._past is None else self._past.accumulated
+        diffuse, specular = (None, None) if past is None else (past.albedo, past.specular)
+        self._accumulate(rows, 1, planes[:3], diffuse, self._kept.albedo)
+        self._accumulate(rows, 2, planes[3:], specular, self._kept.specular)
+
+    def _accumulate(
+        self, rows: slice, index: int, new: np.ndarray, past: np.ndarray | None, kept: np.ndarray
+    ) -> None:
+        """The mean of the past and of rows ``(3, rows, w)`` of this frame, into ``kept``."""
+        target = kept[rows]
+        if past is None:
+            target[..., :3] = new.transpose(1, 2, 0)
+            target[..., 3] = 1
+            return
+        factor = cv2.exp(self._bounded(self._maps[0][self._layout.keep.start + index, rows]))
+        held = factor * past[rows, :, 3]  # what the past weighs against this frame
+        total = held + 1
+        np.divide(total * total, held * factor + 1, out=target[..., 3])
+        np.minimum(target[..., 3], np.float32(self._rules.max_samples), out=target[..., 3])
+        before = planes_of(past[rows])
+        for channel in range(3):
+            # two products, since a difference would cancel where a firefly meets a dark past
+            target[..., channel] = (held * before[channel] + new[channel]) / total
+
+    def _light_planes(self, rows: slice, out: np.ndarray) -> None:
+        """Accumulated light over diffuse albedo, over specular albedo, and as it is."""
+        workspace = self._strips.workspace
+        light = planes_of(self._kept.light[rows])[:3]
+        out[6:] = light
+        for index, albedo in enumerate((self._kept.albedo, self._kept.specular)):
+            by = self._divisor(albedo[rows], workspace)
+            np.divide(light, by, out=out[3 * index : 3 * index + 3])
+
+    def _divisor(self, albedo: np.ndarray, workspace: Workspace) -> np.ndarray:
+        """What light is divided by, ``(3, rows, w)``, of an accumulated albedo."""
+        plain = np.ascontiguousarray(albedo[..., :3])
+        return planes_of(demodulation_albedo(plain, self._rules.demodulate, workspace=workspace))
+
+    def _pooled(self) -> list[np.ndarray]:
+        """Light planes of the coarser levels, ``(9, h, w)``: weighted means of what they are given.
+
+        differs: Balint et al. 2023 add up what levels are given; here it is a mean, so that a
+        level says the same however much it was given.
+        """
+        height, width = self._size[0] // 2, self._size[1] // 2
+        count = self._levels - 1
+        sums = [np.empty((_PLANES + 1, height, width), np.float32) for _ in range(count)]
+
+        def work(rows: slice) -> None:
+            fine = slice(2 * rows.start, 2 * rows.stop)
+            planes = self._strips.workspace.array(
+                "light planes", (_PLANES, fine.stop - fine.start, 2 * width)
+            )
+            self._light_planes(fine, planes)
+            held = np.ascontiguousarray(self._kept.light[fine, :, 3])
+            shares = _shares(self._bounded(self._maps[0][self._layout.partition, fine]))
+            for level, share in zip(sums, shares[1:], strict=True):
+                share *= held
+                level[_PLANES, rows] = halve(share)
+                for plane, target in zip(planes, level, strict=False):
+                    target[rows] = halve(plane * share)
+
+        self._strips.run(work, height, width)
+        pools = []
+        for steps, level in enumerate(sums):
+            for _ in range(steps):
+                level = np.stack([halve(plane) for plane in level])
+            pools.append(level[:_PLANES] / level[_PLANES])
+        return pools
+
+    def _denoised(
+        self, level: int, pool: np.ndarray, coarser: int | None, below: np.ndarray | None
+    ) -> np.ndarray:
+        """A coarser level, mixed with the next and filtered, ``(9, h, w)``."""
+        result = np.empty_like(pool)
+        layout = level_layout(level, self._levels, self._rules.filters)
+
+        def fill(rows: slice, out: np.ndarray) -> None:
+            out[:] = pool[:, rows]
+            if coarser is not None and below is not None:
+                self._mix(level, coarser, below, rows, out)
+
+        def finish(rows: slice, planes: np.ndarray) -> None:
+            result[:, rows] = planes
+
+        self._filter(level, _PLANES, layout.denoise, fill, finish)
+        return result
+
+    def _mix(self, level: int, logit: int, below: np.ndarray, rows: slice, out: np.ndarray) -> None:
+        """Mix rows of a level with the next coarser one, of twice its size."""
+        logits = self._bounded(self._maps[level][logit, rows])
+        out *= _sigmoid(-logits)
+        share = _sigmoid(logits)
+        first = rows.start // 2
+        for plane, target in zip(below[:, first : -(-rows.stop // 2)], out, strict=True):
+            twice = np.repeat(np.repeat(plane, 2, axis=0), 2, axis=1)
+            target += share * twice[rows.start - 2 * first :][: len(share)]
+
+    def _compose(self, rows: slice, planes: np.ndarray, image: np.ndarray) -> None:
+        """Multiply by albedos, compose, and mix with the last output."""
+        workspace, maps = self._strips.workspace, self._maps[0]
+        shares = _shares(self._bounded(maps[self._layout.compose, rows]))
+        plain, diffuse, specular, alone = shares
+        by = self._divisor(self._kept.albedo[rows], workspace)
+        by_specular = self._divisor(self._kept.specular[rows], workspace)
+        keep: np.ndarray | None = None
+        if self._past is not None:
+            logits = self._bounded(maps[self._layout.output, rows])
+            unknown = self._past.accumulated.light[rows, :, 3] <= 0
+            keep, leave = _sigmoid(logits), _sigmoid(-logits)
+            keep[unknown], leave[unknown] = 0, 1
+        for channel in range(3):
+            light = diffuse * planes[channel] * by[channel]
+            light += specular * planes[3 + channel] * by_specular[channel]
+            light += plain * planes[6 + channel]
+            light += alone * self._enlarged[channel, rows]
+            if keep is not None and self._past is not None:
+                light = light * leave + keep * self._past.output[rows, :, channel]
+            image[..., channel] = light
+
+
+def _framed(
+    workspace: Workspace, name: str, shape: tuple[int, int, int], filled: slice
+) -> np.ndarray:
+    """An array with zeros around the rows that will be filled, and left and right of them."""
+    array = workspace.array(name, shape)
+    array[:, : filled.start] = 0
+    array[:, filled.stop :] = 0
+    array[..., 0] = 0
+    array[..., -1] = 0
+    return array
+
+
+def _shares(logits: np.ndarray) -> np.ndarray:
+    """Softmax of planes ``(n, h, w)`` and of one more before them, of logit 0."""
+    weights = np.concatenate([np.ones_like(logits[:1]), np.exp(logits)])
+    weights /= weights.sum(axis=0)
+    return weights
+
+
+def _sigmoid(logits: np.ndarray) -> np.ndarray:
+    result: np.ndarray = 1 / (1 + np.exp(-logits))
+    return result

@@ -1,0 +1,184 @@
+"""Recurrent training of models that denoise and upscale: network, patches, losses, the loop."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from stillray.arrays.strips import Strips  # noqa: E402
+from stillray.errors import InputError  # noqa: E402
+from stillray.families.feature_filters import rules_of  # noqa: E402
+from stillray.model_spec import load  # noqa: E402
+from stillray_export.fuse import fuse  # noqa: E402
+from stillray_training.networks.multi_branch import MultiBranchBlock, multi_branch_net  # noqa: E402
+from stillray_training.networks.repvgg import by_branches  # noqa: E402
+from stillray_training.simulate.sequence import RECORD, write  # noqa: E402
+from stillray_training.train import LOG, load_network  # noqa: E402
+from stillray_training.upscaling import loop, unroll  # noqa: E402
+from stillray_training.upscaling.clips import ClipSampler, load_clip  # noqa: E402
+
+
+def small(name="munet-x2", **recipe):
+    """The model with a narrow network and a short recipe."""
+    spec = load(name)
+    network = replace(spec.network, radiance_widths=(8, 8), guide_widths=(4, 4))
+    defaults = {"steps": 40, "batch": 2, "patch": 16, "frames": 3, "learning_rate": 4e-2}
+    training = replace(spec.training, **{**defaults, **recipe})
+    return replace(spec, network=network, training=training)
+
+
+def render(folder, frames=4, size=(10, 12), scale=2):
+    """A textured plane that slides by half a pixel a frame under noisy light."""
+    rng = np.random.default_rng(5)
+    folder.mkdir(parents=True)
+    jitters = rng.uniform(-0.5, 0.5, (frames, 2))
+
+    def surface(x, y):
+        waves = [np.sin(0.9 * x + phase) * np.cos(0.7 * y) for phase in (0.0, 1.0, 2.0)]
+        return (0.5 + 0.4 * np.stack(waves, -1)).astype(np.float32)
+
+    for number in range(frames):
+        y, x = np.indices(size) + 0.5
+        x, y = x + jitters[number, 0] + 0.5 * number, y + jitters[number, 1]
+        albedo = surface(x, y)
+        noise = rng.exponential(1.0, (*size, 1))
+        flat = np.ones(size, np.float32)
+        motion = np.stack([0.5 * flat, 0 * flat], -1)
+        features = {
+            "albedo": albedo, "normal": np.stack([0 * flat, 0 * flat, flat], -1),
+            "depth": 3 * flat, "motion": motion, "roughness": flat, "specular_albedo": 0 * albedo,
+        }  # fmt: skip
+        write(folder / f"frame_{number:04d}.exr", {"color": albedo * noise, **features})
+        y, x = (np.indices((size[0] * scale, size[1] * scale)) + 0.5) / scale
+        wanted = surface(x + 0.5 * number, y)
+        write(
+            folder / f"ref_{number:04d}.exr",
+            {"color": wanted, "albedo": wanted, "specular_albedo": 0 * wanted},
+        )
+    record = {"options": {"spp": 1}, "cameras": [{"jitter": list(j)} for j in jitters]}
+    (folder / RECORD).write_text(json.dumps(record))
+    return folder
+
+
+def test_the_network_has_the_paper_s_size_and_fuses():
+    torch.manual_seed(0)
+    for name in ("munet-x2", "munet-x1"):
+        weights = sum(part.numel() for part in fuse(multi_branch_net(load(name))).parameters())
+        assert 0.6e6 < weights < 0.7e6
+    spec = small()
+    network = multi_branch_net(spec).double()
+    planes = torch.randn(1, len(spec.network.features), 8, 12, dtype=torch.float64)
+    with by_branches(network):
+        for one, other in zip(fuse(network)(planes), network(planes), strict=True):
+            torch.testing.assert_close(one, other)
+
+
+def test_partial_convolutions_leave_half_of_the_channels_as_they_are():
+    spec = load("munet-x2")
+    block = MultiBranchBlock(8, 4, spec.network, partial=True)
+    light, guides = torch.randn(1, 8, 5, 5), torch.randn(1, 4, 5, 5)
+    rest = block.residual(light)[:, 4:]
+    torch.testing.assert_close(rest, light[:, 4:])
+    whole = MultiBranchBlock(8, 4, spec.network, partial=False)
+    weights = [sum(p.numel() for p in made.parameters()) for made in (block, whole)]
+    assert weights[0] < 0.5 * weights[1]
+    # guides multiply what is added: where they say nothing, light passes
+    with torch.no_grad():
+        block.merge.weight.zero_()
+        block.merge.bias.zero_()
+    torch.testing.assert_close(block(light, guides)[0], light.relu())
+
+
+@pytest.mark.parametrize("name", ["munet-x2", "munet-x1"])
+def test_patches_show_the_same_in_frame_and_reference(tmp_path, name):
+    spec = small(name, frames=4, drop_feature=0.0)
+    scale = spec.decoder.scale
+    clip = load_clip(render(tmp_path / "plane-0-0", scale=scale), spec, Strips(1))
+    sampler = ClipSampler([clip], small(name, patch=8 * scale, frames=4, drop_feature=0.0))
+    for step in range(6):  # turned and mirrored otherwise every time
+        batch = sampler.batch(step)
+        assert len(batch) == 4
+        before = None
+        for sample in batch:
+            assert sample["color"].shape == (2, 3, 8 * scale, 8 * scale)
+            # the sample next to a pixel, one or two of which lie half a frame's pixel away
+            apart = np.abs(sample["albedo"] - sample["wanted_albedo"]).mean()
+            assert apart < 0.2
+            if before is not None:
+                # warped by motion, the last reference is this one
+                last = torch.from_numpy(before["wanted_albedo"])
+                moved = unroll.warped(last, torch.from_numpy(sample["positions"])).numpy()
+                inside = sample["inside"][:, :, 2:-2, 2:-2] > 0
+                error = np.abs(moved - sample["wanted_albedo"])[..., 2:-2, 2:-2] * inside
+                assert error.max() < 0.05
+            before = sample
+
+
+def test_missing_references_and_short_sequences_are_refused(tmp_path):
+    folder = render(tmp_path / "plane-0-0", frames=2)
+    spec = small(frames=3)
+    with pytest.raises(InputError, match="must have 3 frames of 8 pixels each way, got 2 of 10"):
+        ClipSampler([load_clip(folder, spec, Strips(1))], spec)
+    (folder / "ref_0001.exr").unlink()
+    with pytest.raises(InputError, match="every frame must have a reference"):
+        load_clip(folder, spec, Strips(1))
+
+
+def test_a_perfect_recurrence_has_no_loss_and_a_flickering_one_has(tmp_path):
+    spec = small(frames=3)
+    batch = ClipSampler([load_clip(render(tmp_path / "plane-0-0"), spec, Strips(1))], spec).batch(0)
+    frame = {name: torch.from_numpy(array) for name, array in batch[1].items()}
+    wanted, was = frame["wanted"], 0.9 * frame["wanted"]
+    same = loop.temporal_loss((wanted, was), (wanted, was), frame)
+    torch.testing.assert_close(same, torch.zeros(2))
+    flicker = loop.temporal_loss((1.2 * wanted, was), (wanted, was), frame)
+    assert (flicker > 0.01).all()
+
+
+def test_training_learns_and_resumes(tmp_path):
+    render(tmp_path / "data" / "plane-0-0")
+    spec = small()
+    out = tmp_path / "run"
+    loop.train_recurrent(
+        replace(spec, training=replace(spec.training, steps=10)), [tmp_path / "data"], out
+    )
+    trained = loop.train_recurrent(spec, [tmp_path / "data"], out)
+    with (out / LOG).open() as file:
+        assert [int(row["step"]) for row in csv.DictReader(file)] == [20, 40]
+    torch.manual_seed(spec.training.seed)
+    untrained = multi_branch_net(spec)
+    clips = [load_clip(tmp_path / "data" / "plane-0-0", spec, Strips(1))]
+    batch = ClipSampler(clips, spec).batch(1000)
+    with torch.no_grad():
+        losses = [
+            float(loop.sequence_loss(network, batch, spec)) for network in (untrained, trained)
+        ]
+    assert losses[1] < 0.8 * losses[0]
+    loaded, step = load_network(spec, out / "checkpoint.safetensors")
+    assert step == 40
+    for one, other in zip(loaded.parameters(), trained.parameters(), strict=True):
+        torch.testing.assert_close(one, other)
+
+
+def test_gradients_reach_every_weight_through_the_past(tmp_path):
+    spec = small(frames=2)
+    network = multi_branch_net(spec)
+    batch = ClipSampler([load_clip(render(tmp_path / "plane-0-0"), spec, Strips(1))], spec).batch(0)
+    loop.sequence_loss(network, batch, spec).backward()
+    for name, parameter in network.named_parameters():
+        assert parameter.grad is not None, name
+        assert parameter.grad.isfinite().all(), name
+    # the second picture alone depends on what the first accumulated
+    frames = [{k: torch.from_numpy(v) for k, v in sample.items()} for sample in batch]
+    frames[0]["color"].requires_grad_()
+    rules, names = rules_of(spec), spec.network.features
+    _, before, _ = unroll.step(network, frames[0], None, names, rules)
+    image, _, _ = unroll.step(network, frames[1], before, names, rules)
+    (gradient,) = torch.autograd.grad(image.sum(), frames[0]["color"])
+    assert gradient.abs().max() > 0

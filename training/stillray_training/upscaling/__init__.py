@@ -1,0 +1,1 @@
+"""Training of models that denoise and upscale at once, over sequences."""

@@ -1,0 +1,268 @@
+"""Sequences to learn from: frames at their size, and references of every frame at the picture's."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from stillray.arrays.strips import Strips
+from stillray.errors import InputError
+from stillray.families.target_grid import Grid, dilated
+from stillray.frame import Frame
+from stillray.io.exr.read_write import read_exr
+from stillray.model_spec import ModelSpec
+from stillray.model_spec.loader import FeatureFilters
+from stillray.stages import features
+from stillray_training.simulate.sequence import RECORD
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Clip:
+    """A sequence, one entry a frame.
+
+    Attributes
+    ----------
+    frames
+        With every buffer; motion is dilated.
+    references
+        Color, albedo and specular albedo of the picture's size.
+    exposures
+        1 / radiance, steadied as the runtime does.
+    depth_units
+        See `stillray.stages.features.depth_scale`.
+    """
+
+    frames: list[Frame]
+    references: list[Frame]
+    exposures: list[float]
+    depth_units: list[float]
+
+
+_GUIDES = ("albedo", "normal", "roughness", "specular_albedo")
+#: A frame of a patch: arrays by name, channels first.
+Sample = dict[str, np.ndarray]
+
+
+def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
+    """Read a rendered sequence; targets, where there are some, take the place of references.
+
+    Raises
+    ------
+    InputError
+        A frame has no reference of the picture's size with albedos, or no guides.
+    """
+    assert isinstance(spec.decoder, FeatureFilters)
+    record = json.loads((sequence / RECORD).read_text())
+    frames: list[Frame] = []
+    references: list[Frame] = []
+    exposures: list[float] = []
+    units: list[float] = []
+    for path in sorted(sequence.glob("frame_*.exr")):
+        frame = read_exr(path)
+        number = int(path.stem.split("_")[1])
+        motion, depth = frame.motion, frame.depth
+        if motion is None or depth is None or _lacks_guides(frame):
+            raise InputError(f"{path}: must have motion, depth and {', '.join(_GUIDES)}")
+        if frame.jitter is None:
+            jitter = np.array(record["cameras"][number]["jitter"], np.float32)
+            frame = replace(frame, jitter=jitter)
+        frame = replace(frame, motion=dilated(motion, depth, strips))
+        frames.append(frame)
+        references.append(_reference(sequence, number, frame, spec.decoder.scale))
+        own = features.frame_exposure(features.luminance(frame.color), spec.transfer)
+        if exposures:
+            own = features.steady_exposure(own, exposures[-1], spec.transfer)
+        exposures.append(own)
+        units.append(features.depth_scale(depth))
+    return Clip(frames=frames, references=references, exposures=exposures, depth_units=units)
+
+
+def _lacks_guides(frame: Frame) -> bool:
+    """Whether a frame lacks what the network is steered by."""
+    return not frame.given.issuperset(_GUIDES)
+
+
+def _reference(sequence: Path, number: int, frame: Frame, scale: int) -> Frame:
+    path = sequence / f"ref_{number:04d}.exr"
+    if not path.is_file():
+        raise InputError(f"{sequence}: every frame must have a reference, {path.name} is missing")
+    reference = read_exr(path)
+    size = (frame.shape[0] * scale, frame.shape[1] * scale)
+    albedos = (reference.albedo, reference.specular_albedo)
+    if reference.shape != size or any(albedo is None for albedo in albedos):
+        raise InputError(f"{path}: must have albedo, specular_albedo and the size {size}")
+    target = sequence / f"target_{number:04d}.exr"
+    if target.is_file():
+        reference = replace(reference, color=read_exr(target).color)
+    return reference
+
+
+class ClipSampler:
+    """Draws augmented patches of consecutive frames; the n-th batch depends on seed and n only.
+
+    Parameters
+    ----------
+    clips
+        What to draw from.
+    spec
+        The model's specification.
+    """
+
+    def __init__(self, clips: list[Clip], spec: ModelSpec) -> None:
+        assert isinstance(spec.decoder, FeatureFilters)
+        recipe, self._scale = spec.training, spec.decoder.scale
+        self._clips, self._spec = clips, spec
+        self._side = recipe.patch // self._scale
+        for clip in clips:
+            least = min(clip.frames[0].shape)
+            if len(clip.frames) < recipe.frames or least < self._side:
+                raise InputError(
+                    f"sequences must have {recipe.frames} frames of {self._side} pixels each way, "
+                    f"got {len(clip.frames)} of {least}"
+                )
+
+    def batch(self, step: int) -> list[Sample]:
+        """A batch of one training step: for each frame its arrays, ``(n, c, h, w)``."""
+        recipe = self._spec.training
+        rng = np.random.default_rng([recipe.seed, step])
+        clips = [self._patch(rng) for _ in range(recipe.batch)]
+        return [
+            {name: np.stack([clip[at][name] for clip in clips]) for name in clips[0][at]}
+            for at in range(recipe.frames)
+        ]
+
+    def _patch(self, rng: np.random.Generator) -> list[Sample]:
+        recipe = self._spec.training
+        clip = self._clips[rng.integers(len(self._clips))]
+        first = int(rng.integers(len(clip.frames) - recipe.frames + 1))
+        height, width = clip.frames[0].shape
+        top = int(rng.integers(height - self._side + 1))
+        left = int(rng.integers(width - self._side + 1))
+        change = _Change.drawn(rng, recipe.drop_feature, recipe.exposure_stops)
+        return [
+            self._sample(clip, at, (top, left), change)
+            for at in range(first, first + recipe.frames)
+        ]
+
+    def _sample(self, clip: Clip, at: int, corner: tuple[int, int], change: _Change) -> Sample:
+        frame, reference = clip.frames[at], clip.references[at]
+        low = _window(corner, self._side, 1)
+        high = _window(corner, self._side, self._scale)
+        assert frame.motion is not None
+        assert frame.jitter is not None
+        motion = change.vectors(change.image(frame.motion[low]))
+        jitter = change.vectors(frame.jitter)
+        multiple = 1  # patches are of whole blocks already
+        grid = Grid.of((self._side, self._side), self._scale, multiple, jitter)
+        every = slice(0, grid.full[0])
+        positions, inside = grid.past_positions(np.ascontiguousarray(motion), every)
+
+        def seen(image: np.ndarray) -> np.ndarray:
+            return _planes(grid.take(change.image(image[low]), every))
+
+        light = change.colors(frame.color)
+        given = change.features(frame)
+        right = np.broadcast_to(grid.right, grid.full)
+        down = np.broadcast_to(grid.down[:, None], grid.full)
+        truth = change.references(reference)
+        return {
+            "color": seen(light),
+            **{name: seen(image) for name, image in given.items()},
+            "offset": np.stack([right, down]).astype(np.float32),
+            "positions": positions,
+            "inside": inside[None].astype(np.float32),
+            "exposure": np.full((1, 1, 1), clip.exposures[at] * change.exposure, np.float32),
+            "depth_unit": np.full((1, 1, 1), clip.depth_units[at], np.float32),
+            **{name: _planes(change.image(image[high])) for name, image in truth.items()},
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Change:
+    """An augmentation, the same for all frames of a patch."""
+
+    transposed: bool
+    mirrored: tuple[bool, bool]  # x, y
+    order: np.ndarray  # of the colours
+    gain: np.ndarray
+    rotation: np.ndarray  # of normals
+    exposure: float
+    without: frozenset[str]
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, drop: float, stops: float) -> _Change:
+        """A random one; a feature is left out with the probability ``drop``."""
+        q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+        names = ("albedo", "specular", "normal", "roughness", "depth")
+        return cls(
+            transposed=bool(rng.integers(2)),
+            mirrored=(bool(rng.integers(2)), bool(rng.integers(2))),
+            order=rng.permutation(3),
+            gain=np.exp(rng.normal(size=3) * 0.15).astype(np.float32),
+            rotation=(q * np.sign(np.diag(r))).astype(np.float32),
+            exposure=float(2 ** rng.uniform(-stops, stops)),
+            without=frozenset(name for name in names if rng.random() < drop),
+        )
+
+    def image(self, image: np.ndarray) -> np.ndarray:
+        """Turned."""
+        if self.transposed:
+            image = image.swapaxes(0, 1)
+        across, along = self.mirrored
+        return image[:: -1 if along else 1, :: -1 if across else 1]
+
+    def vectors(self, vectors: np.ndarray) -> np.ndarray:
+        """Vectors ``(..., 2)`` turned like images."""
+        if self.transposed:
+            vectors = vectors[..., ::-1]
+        signs = [-1 if mirrored else 1 for mirrored in self.mirrored]
+        return vectors * np.array(signs, np.float32)
+
+    def colors(self, image: np.ndarray) -> np.ndarray:
+        """Radiance with its colours changed."""
+        return image[..., self.order] * self.gain
+
+    def features(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Features by the names of the network's inputs; zeros where left out."""
+        assert frame.albedo is not None
+        assert frame.specular_albedo is not None
+        assert frame.normal is not None
+        assert frame.roughness is not None
+        assert frame.depth is not None
+        found = {
+            "albedo": frame.albedo[..., self.order],
+            "specular": frame.specular_albedo[..., self.order],
+            "normal": frame.normal @ self.rotation,
+            "roughness": frame.roughness,
+            "depth": frame.depth,
+        }
+        return {
+            name: np.zeros_like(image) if name in self.without else image
+            for name, image in found.items()
+        }
+
+    def references(self, reference: Frame) -> dict[str, np.ndarray]:
+        """What is to come out; albedos that are left out are 0 there too."""
+        assert reference.albedo is not None
+        assert reference.specular_albedo is not None
+        albedos = {"albedo": reference.albedo, "specular": reference.specular_albedo}
+        return {
+            "wanted": self.colors(reference.color),
+            **{
+                f"wanted_{name}": image[..., self.order] * np.float32(name not in self.without)
+                for name, image in albedos.items()
+            },
+        }
+
+
+def _window(corner: tuple[int, int], side: int, scale: int) -> tuple[slice, slice]:
+    top, left = (scale * start for start in corner)
+    return slice(top, top + scale * side), slice(left, left + scale * side)
+
+
+def _planes(image: np.ndarray) -> np.ndarray:
+    image = image[..., None] if image.ndim == 2 else image
+    return np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)

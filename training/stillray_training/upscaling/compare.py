@@ -1,0 +1,102 @@
+"""``python -m stillray_training.upscaling.compare DATA --model runs/munet-x2/munet-x2.onnx``.
+
+A model that doubles against denoising first and doubling by Lanczos then, on sequences whose
+references have twice the size. The last frame of each is measured; its temporal metrics see the
+two last ones.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from stillray.arrays.resample import enlarge
+from stillray.cli import program
+from stillray.compare import metrics
+from stillray.compare.metrics import METRICS
+from stillray.errors import InputError
+from stillray.frame import Frame
+from stillray.io.exr.read_write import read_exr
+from stillray.pipeline.denoiser import Denoiser
+from stillray_training.dataset import find_sequences
+from stillray_training.peers.oidn import open_image_denoise
+
+OURS, OIDN = "{} + Lanczos", "oidn-high + Lanczos"
+_MEASURED = ("psnr", "ssim", "smape", "flip", "flicker")
+_PICTURES = 2
+
+
+def measure(sequence: Path, model: str, flagship: str) -> dict[str, dict[str, float]]:
+    """Metrics by method of the last frame of a sequence.
+
+    Raises
+    ------
+    InputError
+        Its last frames have no references of the model's size.
+    """
+    frames = [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
+    paths = sorted(sequence.glob("target_*.exr")) or sorted(sequence.glob("ref_*.exr"))
+    references = [read_exr(path).color for path in paths[-_PICTURES:]]
+    with Denoiser(model, threads=1) as denoiser, Denoiser(flagship, threads=1) as plain:
+        scale, name = denoiser.scale, denoiser.model.name
+        size = tuple(side * scale for side in frames[-1].shape)
+        if len(references) < _PICTURES or references[-1].shape[:2] != size:
+            raise InputError(f"{sequence}: the last {_PICTURES} frames must have references {size}")
+        ours = [denoiser.denoise(frame) for frame in frames][-_PICTURES:]
+        first = [enlarge(plain.denoise(frame), scale) for frame in frames][-_PICTURES:]
+        title = OURS.format(plain.model.name)
+    peers = [enlarge(_oidn(frame), scale) for frame in frames[-_PICTURES:]]
+    methods = {name: ours, title: first, OIDN: peers}
+    return {
+        method: metrics.evaluate(images, references, names=_MEASURED)
+        for method, images in methods.items()
+    }
+
+
+def _oidn(frame: Frame) -> np.ndarray:
+    return open_image_denoise(frame.color, frame.albedo, frame.normal, "high")
+
+
+def mean(found: list[Mapping[str, Mapping[str, float]]]) -> dict[str, dict[str, float]]:
+    """Means over sequences, by method and metric."""
+    return {
+        method: {
+            name: float(np.mean([one[method][name] for one in found])) for name in found[0][method]
+        }
+        for method in found[0]
+    }
+
+
+def main(
+    data: Annotated[Path, typer.Argument(help="Folder of rendered sequences.")],
+    model: Annotated[str, typer.Option(help="The model, or the path of its .onnx file.")],
+    flagship: Annotated[str, typer.Option(help="Whose pictures are enlarged beside it.")] = "high",
+    only: Annotated[str, typer.Option(help="Pattern of the sequences' names.")] = "*",
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Measure a model that enlarges beside denoising and enlarging one after the other."""
+    sequences = [path for path in find_sequences(data) if path.match(only)]
+    if not sequences:
+        raise InputError(f"data must hold finished sequences, got {data}")
+    found = mean([measure(sequence, model, flagship) for sequence in sequences])
+    if as_json:
+        print(json.dumps(found, indent=1))
+        return
+    table = Table(title=f"{len(sequences)} sequences, means")
+    shown = [metric for metric in METRICS if metric.name in next(iter(found.values()))]
+    for title in ("method", *(metric.title for metric in shown)):
+        table.add_column(title)
+    for method, values in found.items():
+        table.add_row(method, *(format(values[metric.name], metric.format) for metric in shown))
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    program.run(main)

@@ -1,0 +1,188 @@
+"""Recurrent training of a model that denoises and upscales (Kazmierczyk et al. 2025, 4.2 and 4.3).
+
+differs: the perceptual term is one minus structural similarity as displayed, since LPIPS is made of
+weights that would have to be downloaded: it knows contrasts and edges, and not what textures look
+like. References of few samples are made smooth by Open Image Denoise
+(`stillray_training.targets`); the paper's have 8192 samples. Gradients of all frames of a patch
+reach back to the first.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+from torch import Tensor, nn
+
+from stillray.arrays.strips import Strips
+from stillray.errors import InputError
+from stillray.families.feature_filters import rules_of
+from stillray.model_spec import ModelSpec
+from stillray.model_spec.loader import Training
+from stillray_training.dataset import find_sequences
+from stillray_training.decoders.feature_filters import Remembered
+from stillray_training.losses import displayed, dissimilarity, per_patch, smape
+from stillray_training.networks.multi_branch import multi_branch_net
+from stillray_training.provenance import ASSETS, assets_of
+from stillray_training.train import (
+    CHECKPOINT,
+    LOG,
+    follow,
+    forget_after,
+    learning_rate,
+    log_loss,
+    restore,
+    save,
+)
+from stillray_training.upscaling.clips import Clip, ClipSampler, Sample, load_clip
+from stillray_training.upscaling.unroll import step as unrolled_step
+from stillray_training.upscaling.unroll import warped
+
+_LOG_EVERY = 20  # steps
+_MOST_GRADIENT = 1.0  # norm: recurrences have steep walls
+
+
+def sequence_loss(
+    network: nn.Module, batch: list[Sample], spec: ModelSpec, progress: float = 0.0
+) -> Tensor:
+    """Mean loss over the frames of a batch.
+
+    Parameters
+    ----------
+    network
+        In training.
+    batch
+        Of `ClipSampler`.
+    spec
+        The model and its recipe.
+    progress
+        Part of the training that is done: the temporal term's weight doubles over it.
+    """
+    rules, names = rules_of(spec), spec.network.features
+    before: Remembered | None = None
+    wanted_before: Tensor | None = None
+    total: Tensor | None = None
+    for sample in batch:
+        frame = {name: torch.from_numpy(array) for name, array in sample.items()}
+        image, before, recalled = unrolled_step(network, frame, before, names, rules)
+        loss = frame_loss(image, before, frame, spec.training)
+        if recalled is not None and wanted_before is not None:
+            was = warped(wanted_before, frame["positions"]) * frame["inside"]
+            change = temporal_loss((image, recalled), (frame["wanted"], was), frame)
+            loss = loss + spec.training.steady_weight * (1 + progress) * change
+        wanted_before = frame["wanted"]
+        total = loss if total is None else total + loss
+    assert total is not None
+    return total.mean() / len(batch)
+
+
+def frame_loss(
+    image: Tensor, after: Remembered, frame: Mapping[str, Tensor], recipe: Training
+) -> Tensor:
+    """Spatial and perceptual loss of each patch, ``(n,)``: of the picture and both albedos."""
+    exposed, wanted = image * frame["exposure"], frame["wanted"] * frame["exposure"]
+    loss = smape(exposed, wanted, recipe.smape_epsilon)
+    for albedo, name in ((after.albedo, "wanted_albedo"), (after.specular, "wanted_specular")):
+        error = (albedo[:, :3] - frame[name]).abs()
+        loss = loss + recipe.albedo_weight * per_patch(error)
+    shown, right = displayed(exposed), displayed(wanted)
+    loss = loss + recipe.display_weight * per_patch((shown - right).abs())
+    return loss + recipe.structure_weight * dissimilarity(shown, right)
+
+
+def temporal_loss(
+    images: tuple[Tensor, Tensor], wanted: tuple[Tensor, Tensor], frame: Mapping[str, Tensor]
+) -> Tensor:
+    """L1 of how a picture changes against how its reference does, of each patch, ``(n,)``.
+
+    Parameters
+    ----------
+    images, wanted
+        Radiance of this frame, and of the last at its pixels.
+    frame
+        Its exposure, and where the last frame is known.
+    """
+
+    def change(pair: tuple[Tensor, Tensor]) -> Tensor:
+        now, was = (displayed(part * frame["exposure"]) for part in pair)
+        return now - was
+
+    return per_patch((change(images) - change(wanted)).abs() * frame["inside"])
+
+
+def train_recurrent(
+    spec: ModelSpec, data: list[Path], out: Path, *, save_every: int = 200
+) -> nn.Module:
+    """Train until the recipe's last step; resumes from ``out`` if it holds a checkpoint.
+
+    Parameters
+    ----------
+    spec
+        The model and its recipe.
+    data
+        Folders of rendered sequences with a reference of every frame.
+    out
+        Folder for the checkpoint and the log; made if missing.
+    save_every
+        Steps between checkpoints.
+
+    Raises
+    ------
+    InputError
+        There are no finished sequences, one lacks what the model learns from, or the checkpoint
+        belongs to another spec.
+    """
+    sequences = [path for folder in data for path in find_sequences(folder)]
+    if not sequences:
+        raise InputError(f"data must hold finished sequences, got {', '.join(map(str, data))}")
+    out.mkdir(parents=True, exist_ok=True)
+    recipe = spec.training
+    torch.manual_seed(recipe.seed)
+    network: nn.Module = multi_branch_net(spec)
+    optimiser = torch.optim.AdamW(
+        network.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay
+    )
+    average = copy.deepcopy(network) if recipe.average else network
+    step = restore(out / CHECKPOINT, spec, network, optimiser, average)
+    forget_after(out / LOG, step)
+    (out / "data.json").write_text(json.dumps([path.name for path in sequences], indent=1))
+    (out / ASSETS).write_text(json.dumps(assets_of(sequences), indent=1))
+    with Progress(
+        *Progress.get_default_columns()[:3],
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        transient=not sys.stderr.isatty(),
+    ) as progress:
+        clips: list[Clip] = []
+        for sequence in progress.track(sequences, description="load"):
+            clips.append(load_clip(sequence, spec, Strips(1)))
+        sampler = ClipSampler(clips, spec)
+        task = progress.add_task(spec.name, total=recipe.steps, completed=step)
+        losses: list[float] = []
+        began = time.monotonic()
+        while step < recipe.steps:
+            for group in optimiser.param_groups:
+                group["lr"] = learning_rate(step, spec)
+            loss = sequence_loss(network, sampler.batch(step), spec, step / recipe.steps)
+            optimiser.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            torch.nn.utils.clip_grad_norm_(network.parameters(), _MOST_GRADIENT)
+            optimiser.step()
+            if average is not network:
+                follow(average, network, min(recipe.average, step / (step + 10)))
+            losses.append(loss.item())
+            step += 1
+            progress.advance(task)
+            if step % _LOG_EVERY == 0:
+                log_loss(out / LOG, step, float(np.mean(losses)), time.monotonic() - began)
+                losses = []
+            if step % save_every == 0 or step == recipe.steps:
+                save(out / CHECKPOINT, spec, network, optimiser, average, step)
+    return average

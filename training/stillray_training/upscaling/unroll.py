@@ -1,0 +1,115 @@
+"""One step of the recurrence, differentiable: the twin of `stillray.families.feature_filters`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from stillray.families.feature_reconstruction import Rules
+from stillray.families.target_planes import FARTHEST, MOST_LIGHT, MU, PERIODS
+from stillray_training.decoders.feature_filters import Enlarged, Remembered, reconstruct
+
+
+def step(
+    network: nn.Module,
+    frame: Mapping[str, Tensor],
+    before: Remembered | None,
+    names: Sequence[str],
+    rules: Rules,
+) -> tuple[Tensor, Remembered, Tensor | None]:
+    """A frame's picture.
+
+    Parameters
+    ----------
+    network
+        Gives the planes of the reconstruction.
+    frame
+        Of `stillray_training.upscaling.clips.ClipSampler`.
+    before
+        What the last frame left.
+    names
+        Planes that the network reads.
+    rules
+        Of the specification.
+
+    Returns
+    -------
+    image : (n, 3, h, w)
+        Radiance.
+    after
+        For the next frame.
+    recalled : (n, 3, h, w) or None
+        The last picture at this frame's pixels, 0 where it was not in it.
+    """
+    size = frame["color"].shape
+    past = Remembered(*(frame["color"].new_zeros(size[0], 4, *size[2:]) for _ in range(4)))
+    if before is not None:
+        images = (before.light, before.albedo, before.specular, before.output)
+        moved = warped(torch.cat(images, 1), frame["positions"]) * frame["inside"]
+        past = Remembered(*moved.split(4, 1))
+    planes = network_planes(frame, past, names)
+    outputs = network(planes)
+    given = Enlarged(frame["color"], frame["albedo"], frame["specular"])
+    image, (light, albedo, specular) = reconstruct(given, past, outputs, rules)
+    output = torch.cat([image, log_depth(frame["depth"])], 1)
+    after = Remembered(light, albedo, specular, output)
+    return image, after, None if before is None else past.output[:, :3]
+
+
+def warped(images: Tensor, positions: Tensor) -> Tensor:
+    """Images at positions ``(n, h, w, 2)`` within them, pixels, bilinear."""
+    height, width = images.shape[2:]
+    most = positions.new_tensor([max(width - 1, 1), max(height - 1, 1)])
+    at = positions * (2 / most) - 1
+    return F.grid_sample(images, at, mode="bilinear", padding_mode="border", align_corners=True)
+
+
+def log_depth(depth: Tensor) -> Tensor:
+    """See `stillray.families.target_planes.log_depth`."""
+    far = torch.full_like(depth, FARTHEST)
+    safe = torch.where(depth > 0, depth, torch.ones_like(depth))
+    return torch.where(depth > 0, safe.log(), far).clamp(-FARTHEST, FARTHEST)
+
+
+def network_planes(frame: Mapping[str, Tensor], past: Remembered, names: Sequence[str]) -> Tensor:
+    """The network's input, see `stillray.families.target_planes.fill_planes`."""
+    found: dict[str, Tensor] = {}
+
+    def add(name: str, parts: str, image: Tensor) -> None:
+        channels = image.split(1, 1)
+        found.update({f"{name}.{part}": c for part, c in zip(parts, channels, strict=False)})
+
+    exposure = frame["exposure"]
+    for name, image in (("color", frame["color"]), ("past", past.light), ("output", past.output)):
+        add(name, "rgb", _tone_mapped(image[:, :3], exposure))
+    for name, image in (
+        ("albedo", frame["albedo"]),
+        ("specular", frame["specular"]),
+        ("past_albedo", past.albedo),
+        ("past_specular", past.specular),
+    ):
+        add(name, "rgb", image)
+    for name, image in (
+        ("past", past.light), ("past_albedo", past.albedo), ("past_specular", past.specular)
+    ):  # fmt: skip
+        waves = []
+        for period in PERIODS:
+            waves += [(image[:, 3:] / period).sin(), (image[:, 3:] / period).cos()]
+        add(f"{name}.count", "0123", torch.cat(waves, 1))
+    add("normal", "xyz", frame["normal"])
+    add("offset", "xy", frame["offset"])
+    found["roughness"] = frame["roughness"]
+    depth = frame["depth"]
+    given = (depth.amax((1, 2, 3), keepdim=True) > 0).to(depth.dtype)  # else it was left out
+    found["depth"] = depth / (depth + frame["depth_unit"])
+    change = (past.output[:, 3:] - log_depth(depth)).clamp(-1, 1)
+    found["depth.change"] = change * (past.light[:, 3:] > 0) * given
+    return torch.cat([found[name] for name in names], 1)
+
+
+def _tone_mapped(radiance: Tensor, exposure: Tensor) -> Tensor:
+    exposed = (radiance * exposure).clamp(max=MOST_LIGHT)
+    return (exposed * MU).log1p() / torch.log1p(exposed.new_tensor(MU))
