@@ -20,9 +20,11 @@ from torch import Tensor, nn
 
 from stillray.cli import program
 from stillray.errors import InputError
+from stillray.families.feature_filters import alignment
 from stillray.families.registry import kernels_of
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec, from_json
+from stillray.model_spec.loader import FeatureFilters
 from stillray.models.registry import PROVENANCE_KEY, SPEC_KEY, WHOLE_SUFFIX, find_model, require_fit
 from stillray.models.session import checked
 from stillray_export import parity
@@ -100,6 +102,11 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
         The network is not what its specification describes, or is made of operators that the
         runtime does not take (`stillray.models.network_graph`): nothing is written.
     """
+    if isinstance(spec.decoder, FeatureFilters):
+        # its decoder takes and gives a past, and is checked otherwise
+        from stillray_export.feature_filters import export as export_upscaling
+
+        return export_upscaling(network, spec, provenance, out)
     fused = fuse(network)
     provenance = {
         **provenance,
@@ -108,14 +115,14 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
     alone = network_graph(fused, spec, provenance)
     family = FAMILIES[spec.family]
     arrays = [torch.ones(1, parity.CHANNELS[name], *_EXAMPLE) for name in family.inputs]
-    axes = _axes(spec)
+    axes = axes_of(spec)
     whole = to_model(
         WholeDenoise(fused, spec).eval(),
-        (_features(spec), *arrays),
+        (example_features(spec), *arrays),
         ["features", *family.inputs],
         ["denoised"],
         (axes, tuple(axes for _ in arrays)),
-        _metadata(spec, provenance),
+        metadata_of(spec, provenance),
     )
     # what the runtime would refuse is found here, not by who runs the model
     require_fit(checked(alone.SerializeToString(), spec.name)[1], spec, spec.name)
@@ -130,31 +137,35 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
 def network_graph(fused: nn.Module, spec: ModelSpec, provenance: dict[str, Any]) -> onnx.ModelProto:
     """The graph of a fused network alone, which `stillray.Denoiser` runs."""
     with torch.no_grad():
-        given = fused(_features(spec))
+        given = fused(example_features(spec))
     names = ["logits"] if isinstance(given, Tensor) else [f"logits_{i}" for i in range(len(given))]
     bound: float | None = getattr(spec.decoder, "logit_bound", None)
     return to_model(
         fused if bound is None else BoundedLogits(fused, bound).eval(),
-        (_features(spec),),
+        (example_features(spec),),
         ["features"],
         names,
-        (_axes(spec),),
-        _metadata(spec, {"parameters": 0, **provenance}),
+        (axes_of(spec),),
+        metadata_of(spec, {"parameters": 0, **provenance}),
     )
 
 
-def _features(spec: ModelSpec) -> Tensor:
+def example_features(spec: ModelSpec) -> Tensor:
+    """Features of a small frame, to trace a network with."""
     return torch.zeros(1, len(spec.network.features), *_EXAMPLE)
 
 
-def _axes(spec: ModelSpec) -> dict[int, Any]:
-    multiple = kernels_of(spec).looks.alignment
+def axes_of(spec: ModelSpec) -> dict[int, Any]:
+    """Height and width of a graph's inputs, free but for what they must be multiples of."""
+    upscales = isinstance(spec.decoder, FeatureFilters)
+    multiple = alignment(spec) if upscales else kernels_of(spec).looks.alignment
     height, width = (torch.export.Dim(name, min=1) for name in ("height", "width"))
     # sizes are whole pixels of the coarsest level
     return {2: height, 3: width} if multiple == 1 else {2: multiple * height, 3: multiple * width}
 
 
-def _metadata(spec: ModelSpec, provenance: dict[str, Any]) -> dict[str, str]:
+def metadata_of(spec: ModelSpec, provenance: dict[str, Any]) -> dict[str, str]:
+    """What a file carries beside its graph."""
     return {SPEC_KEY: spec.to_json(), PROVENANCE_KEY: json.dumps(provenance, sort_keys=True)}
 
 

@@ -1,0 +1,199 @@
+"""Export of models that denoise and upscale at once: see `stillray_export.to_onnx`.
+
+Their whole graph takes a frame and its past at the picture's pixels, and gives the picture and
+what is remembered of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime as ort
+import torch
+from torch import Tensor, nn
+
+from stillray.arrays.strips import Strips
+from stillray.families import feature_reconstruction as runtime
+from stillray.families.feature_filters import alignment, rules_of
+from stillray.io.exr.read_write import atomic_path
+from stillray.model_spec import ModelSpec
+from stillray.models.registry import WHOLE_SUFFIX, require_fit
+from stillray.models.session import checked
+from stillray_export import to_onnx
+from stillray_export.fuse import fuse
+from stillray_export.parity import IMAGE_TOLERANCE, NETWORK_TOLERANCE, SIZES, ParityError
+from stillray_training.decoders import feature_filters as twin
+from stillray_training.networks.multi_branch import multi_branch_net
+from stillray_training.networks.repvgg import by_branches
+
+#: What the whole graph takes beside the features, and its planes; and what it gives.
+FRAME = {"color": 3, "albedo": 3, "specular": 3}
+PAST = {"past_light": 4, "past_albedo": 4, "past_specular": 4, "past_output": 4}
+RESULTS = ("image", "light", "albedo_mean", "specular_mean")
+
+
+class WholeUpscale(nn.Module):
+    """Network and reconstruction in one graph."""
+
+    def __init__(self, network: nn.Module, spec: ModelSpec) -> None:
+        super().__init__()
+        self.network = network
+        self.rules = rules_of(spec)
+
+    def forward(self, features: Tensor, *arrays: Tensor) -> tuple[Tensor, ...]:
+        """``(n, features, h, w)`` and the arrays of `FRAME` and `PAST`, to those of `RESULTS`."""
+        frame, past = twin.Enlarged(*arrays[:3]), twin.Remembered(*arrays[3:])
+        image, kept = twin.reconstruct(frame, past, self.network(features), self.rules)
+        return (image, *kept)
+
+
+def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out: Path) -> Path:
+    """Write both graphs of a model; see `stillray_export.to_onnx.export`."""
+    fused = fuse(network)
+    provenance = {
+        **provenance,
+        "parameters": sum(parameter.numel() for parameter in fused.parameters()),
+    }
+    alone = to_onnx.network_graph(fused, spec, provenance).SerializeToString()
+    whole = whole_graph(fused, spec, provenance)
+    require_fit(checked(alone, spec.name)[1], spec, spec.name)
+    check(network, fused, alone, whole, spec)
+    path = out / f"{spec.name}.onnx"
+    for data, target in ((alone, path), (whole, out / f"{spec.name}{WHOLE_SUFFIX}.onnx")):
+        with atomic_path(target) as temporary:
+            temporary.write_bytes(data)
+    return path
+
+
+def whole_graph(fused: nn.Module, spec: ModelSpec, provenance: dict[str, Any]) -> bytes:
+    """The serialised graph of network and reconstruction."""
+    features = to_onnx.example_features(spec)
+    planes = {**FRAME, **PAST}
+    arrays = [torch.ones(1, count, *features.shape[2:]) for count in planes.values()]
+    axes = to_onnx.axes_of(spec)
+    return to_onnx.to_model(
+        WholeUpscale(fused, spec).eval(),
+        (features, *arrays),
+        ["features", *planes],
+        list(RESULTS),
+        (axes, tuple(axes for _ in arrays)),
+        to_onnx.metadata_of(spec, provenance),
+    ).SerializeToString()
+
+
+def check(
+    network: nn.Module, fused: nn.Module, alone: bytes, whole: bytes, spec: ModelSpec
+) -> dict[str, float]:
+    """Compare every form of a model; see `stillray_export.parity.check`.
+
+    Returns
+    -------
+    dict
+        Form to its worst relative error.
+
+    Raises
+    ------
+    ParityError
+        A form is beyond its tolerance.
+    """
+    sessions = [
+        ort.InferenceSession(graph, providers=["CPUExecutionProvider"]) for graph in (alone, whole)
+    ]
+    exact = multi_branch_net(spec).double()
+    exact.load_state_dict({name: value.double() for name, value in network.state_dict().items()})
+    worst: dict[str, float] = {}
+    for index, size in enumerate(SIZES):
+        multiple = alignment(spec)
+        height, width = (-(-pixels // multiple) * multiple for pixels in size)
+        rng = np.random.default_rng(index)
+        features = rng.uniform(-1, 1, (1, len(spec.network.features), height, width))
+        features = features.astype(np.float32)
+        given = torch.from_numpy(features)
+        with torch.no_grad(), by_branches(exact), by_branches(network):
+            oracle = [part.numpy() for part in exact(given.double())]
+            forms = {"branches planes": [part.numpy() for part in network(given)]}
+        with torch.no_grad():
+            forms["fused planes"] = [part.numpy() for part in fused(given)]
+        forms["onnx planes"] = sessions[0].run(None, {"features": features})
+        bound = rules_of(spec).filters.logit_bound
+        for name, values in forms.items():
+            for value, expected in zip(values, oracle, strict=True):
+                limit = np.clip(expected, -bound, bound) if name == "onnx planes" else expected
+                unit = np.abs(expected).max() + 1e-30
+                _note(worst, name, value, limit, NETWORK_TOLERANCE, unit)
+        arrays = random_arrays(rng, height, width)
+        for scale in (1.0, 1e3):  # 1e3: logits far beyond the bound
+            planes = [(part * scale).astype(np.float32) for part in forms["onnx planes"]]
+            results = decoded(arrays, planes, spec)
+            if scale == 1.0:
+                results["whole graph"] = sessions[1].run(None, {"features": features, **arrays})
+            wanted = results.pop("oracle")
+            for name, parts in results.items():
+                for part, expected in zip(parts, wanted, strict=True):
+                    _note(worst, name, part, expected, IMAGE_TOLERANCE, np.abs(expected) + 1e-6)
+    return worst
+
+
+def random_arrays(rng: np.random.Generator, height: int, width: int) -> dict[str, np.ndarray]:
+    """A frame and a past, ``(1, c, h, w)`` float32 by name, with a firefly and places without."""
+
+    def of(count: int) -> tuple[int, int, int, int]:
+        return (1, count, height, width)
+
+    arrays = {"color": rng.lognormal(0, 2, of(3))}
+    arrays |= {name: rng.uniform(0, 1, of(3)) for name in ("albedo", "specular")}
+    arrays |= {name: rng.uniform(0, 1, of(4)) for name in PAST}
+    for name in PAST:
+        arrays[name][:, 3] *= 32 * (rng.random((height, width)) < 0.8)
+    arrays["color"][:, :, 0, 0] = 1e5
+    return {name: value.astype(np.float32) for name, value in arrays.items()}
+
+
+def decoded(
+    arrays: Mapping[str, np.ndarray], planes: Sequence[np.ndarray], spec: ModelSpec
+) -> dict[str, list[np.ndarray]]:
+    """The same planes through each decoder; ``oracle`` is the PyTorch one in float64."""
+
+    def in_torch(kind: torch.dtype) -> list[np.ndarray]:
+        given = {name: torch.from_numpy(value).to(kind) for name, value in arrays.items()}
+        frame = twin.Enlarged(*(given[name] for name in FRAME))
+        past = twin.Remembered(*(given[name] for name in PAST))
+        maps = [torch.from_numpy(part).to(kind) for part in planes]
+        image, kept = twin.reconstruct(frame, past, maps, rules_of(spec))
+        return [part.numpy() for part in (image, *kept)]
+
+    image = {name: np.ascontiguousarray(a[0].transpose(1, 2, 0)) for name, a in arrays.items()}
+    light, albedo, specular, output = (image[name] for name in PAST)
+    found, kept = runtime.reconstruct(
+        runtime.Enlarged(*(image[name] for name in FRAME)),
+        runtime.Past(runtime.Accumulated(light, albedo, specular), output),
+        [part[0] for part in planes],
+        rules_of(spec),
+        Strips(1),
+    )
+    parts = (found, kept.light, kept.albedo, kept.specular)
+    return {
+        "oracle": in_torch(torch.float64),
+        "torch decoder": in_torch(torch.float32),
+        "runtime decoder": [part.transpose(2, 0, 1)[None] for part in parts],
+    }
+
+
+def _note(
+    worst: dict[str, float],
+    name: str,
+    value: np.ndarray,
+    oracle: np.ndarray,
+    tolerance: float,
+    unit: np.ndarray | float,
+) -> None:
+    error = float((np.abs(value - oracle) / unit).max())
+    worst[name] = max(worst.get(name, 0.0), error)
+    if not error <= tolerance:  # NaN fails too
+        raise ParityError(
+            f"{name} must agree with float64 within {tolerance:g}, got {error:g} at "
+            f"{value.shape[2:]}"
+        )
