@@ -28,7 +28,7 @@ from stillray.model_spec.loader import FilterNetwork
 from stillray.model_spec.network_weights import network_weights
 from stillray.models.registry import UNLISTED, require_fit
 from stillray.models.session import checked
-from stillray_export.to_onnx import _metadata, to_model
+from stillray_export.to_onnx import metadata_of, to_model
 from stillray_training.networks.filter_parameters import Shapes, filter_parameters, split, start
 from stillray_training.online.step import LOSS_EPSILON, Learning, train_step
 
@@ -78,7 +78,7 @@ def network_file(spec: ModelSpec, weights: Tensor, provenance: dict[str, Any]) -
         ["features", *named],
         ["parameters"],
         (axes, tuple({} for _ in named)),
-        _metadata(spec, {**provenance, "parameters": weights.numel()}),
+        metadata_of(spec, {**provenance, "parameters": weights.numel()}),
     )
     for name, tensor in named.items():
         model.graph.initializer.append(numpy_helper.from_array(tensor.numpy(), name))

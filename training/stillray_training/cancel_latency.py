@@ -34,10 +34,14 @@ def latencies(model: str, shape: tuple[int, int], count: int, clock: Clock) -> l
             denoiser.state = state
             wish = clock() + moment
             try:
-                denoiser.denoise(frames[1], progress=lambda _, w=wish: clock() < w)
+                denoiser.denoise(frames[1], progress=_until(wish, clock))
             except stillray.Cancelled:
                 found.append(1e3 * (clock() - wish))
     return found
+
+
+def _until(wish: float, clock: Clock) -> Callable[[float], bool]:
+    return lambda _: clock() < wish
 
 
 def _seconds(

@@ -70,8 +70,10 @@ def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayou
         len(NEIGHBOURS) * len(distances),
     )
     starts = [sum(counts[:index]) for index in range(len(counts) + 1)]
-    parts = [slice(a, b) for a, b in pairwise(starts)]
-    return LevelLayout(*parts, distances=distances)
+    importance, pool, blend, resolve, sample_blend, double, around = (
+        slice(a, b) for a, b in pairwise(starts)
+    )
+    return LevelLayout(importance, pool, blend, resolve, sample_blend, double, around, distances)
 
 
 def level_logits(level: int, levels: int, options: PyramidKernels) -> int:

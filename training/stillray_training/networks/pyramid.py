@@ -126,6 +126,8 @@ def kernel_pyramid_net(spec: ModelSpec) -> PyramidNet:
             layout = level_layout(level, levels, decoder)
             # of the finest level as many planes as a block has pixels
             pixels = network.block**2 if level == 0 else 1
+            assert isinstance(head, nn.Conv2d)
+            assert head.bias is not None
             weight, bias = (part.unflatten(0, (-1, pixels)) for part in (head.weight, head.bias))
             # from plain doubling and blending: weights that know no such logits serve as a start
             for part in (weight, bias):
