@@ -30,7 +30,7 @@ from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
 from stillray.stages.state import History, Prepared
 from stillray_training.blocks import mean_frame, read_blocks
-from stillray_training.quiet import add_fireflies, quiet_frame
+from stillray_training.quiet import add_fireflies, quiet_frame, uneven_frame
 from stillray_training.simulate.sequence import is_complete
 from stillray_training.targets import read_target
 
@@ -38,6 +38,7 @@ STARTS = (1, 3, 8)  # frames accumulated before the last one is learned from
 #: How examples differ, and how often a patch is of that kind.
 NOISY, STILL, QUIET = "noisy", "still", "quiet"
 _STILLS = 3  # examples of a few samples a pixel, of each sequence that has blocks
+_UNEVEN = 2  # and of those whose noise lies in a part of the picture
 _QUIETS = 2  # and of hundreds to thousands
 _MOST_SAMPLES = 4096
 _FIREFLIES = 0.3  # share of quiet examples that have some
@@ -132,7 +133,11 @@ def _all_examples(
     if len(blocks) == 1:
         quiet = _example([quiet_frame(frames[-1], reference, rng)], reference, spec, strips)
         return [*examples, replace(quiet, kind=QUIET)]
-    for frame, samples in _stills(blocks, rng):
+    whole = mean_frame(blocks)
+    for index, (frame, samples) in enumerate(_stills(blocks, rng, _STILLS + _UNEVEN)):
+        if index >= _STILLS:
+            assert whole.albedo is not None
+            frame = uneven_frame(frame, reference, whole.albedo, rng)
         example = _example([frame], reference, spec, strips)
         examples.append(replace(example, spp=samples, kind=STILL))
     for frame, samples in _quiets(blocks, reference, rng):
@@ -169,10 +174,10 @@ def _quiet_example(
 
 
 def _stills(
-    blocks: list[tuple[Frame, float]], rng: np.random.Generator
+    blocks: list[tuple[Frame, float]], rng: np.random.Generator, number: int
 ) -> Iterator[tuple[Frame, float]]:
-    """Frames of 2 samples a pixel to all that there are, and their counts."""
-    for _ in range(_STILLS):
+    """So many frames of 2 samples a pixel to all that there are, and their counts."""
+    for _ in range(number):
         most = sum(count for _, count in blocks)
         wanted = np.exp(rng.uniform(np.log(2), np.log(most)))
         chosen: list[tuple[Frame, float]] = []

@@ -18,6 +18,7 @@ _NOISE = (0.0, 0.1, 0.25, 0.5)  # shares of the frame's noise that are kept
 # of little noise alone, and fireflies with them.
 _MOST = 1e-2
 _BRIGHTER = (1.0, 6.0)  # powers of ten above the frame's median
+_DARK = 0.02  # albedo below which a texture's noise is not looked for
 _SIZES = ((1, 2, 3), (0.6, 0.25, 0.15))  # edges of clusters in pixels, and how often they come
 
 
@@ -42,6 +43,46 @@ def quiet_frame(frame: Frame, reference: np.ndarray, rng: np.random.Generator) -
     color = reference + noise * (np.nan_to_num(frame.color) - reference)
     color = add_fireflies(color, reference, rng)
     return replace(frame, color=color.astype(np.float32), motion=None)
+
+
+def uneven_frame(
+    frame: Frame, reference: np.ndarray, albedo: np.ndarray, rng: np.random.Generator
+) -> Frame:
+    """A frame that keeps its noise in a part of the picture: surfaces that face a way, or patches.
+
+    Sun and lamps leave most of a picture without noise, and faces in half-shadow with much. A
+    network that never saw both together took the noise there for texture, since all around it the
+    picture was clean. Textures keep the noise of the frame's own albedo: light without noise shows
+    them as that says.
+
+    Parameters
+    ----------
+    frame
+        A noisy frame.
+    reference : (h, w, 3)
+        Its radiance without noise.
+    albedo : (h, w, 3)
+        Its albedo with less noise than the frame's.
+    rng
+        Draws the part, and how much noise is left elsewhere: none to a third.
+    """
+    height, width = frame.shape
+    if frame.normal is not None and rng.random() < 0.5:
+        way = rng.normal(size=3)
+        field = frame.normal @ (way / np.linalg.norm(way)).astype(np.float32)
+    else:
+        coarse = rng.normal(size=rng.integers(2, 9, 2)).astype(np.float32)
+        field = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    inside = field >= np.quantile(field, rng.uniform(0.3, 0.9))
+    kept = np.where(inside, 1.0, rng.random() ** 2 / 3)[..., None].astype(np.float32)
+    clean = reference
+    if frame.albedo is not None:
+        # where next to nothing is reflected, the ratio would be noise
+        textured = np.minimum(frame.albedo, albedo) > _DARK
+        ratio = np.divide(frame.albedo, albedo, out=np.ones_like(albedo), where=textured)
+        clean = reference * ratio
+    color = clean + kept * (np.nan_to_num(frame.color) - clean)
+    return replace(frame, color=color.astype(np.float32))
 
 
 def add_fireflies(color: np.ndarray, reference: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -66,9 +66,10 @@ def kernel_pyramid(
         else:
             itself, *others = others
             total = itself * own + first * doubled(result, maps[level + 1].double)
-        weights = (maps[level].importance.exp() * held[level]).split(1, 1)
-        # no shares where the finest level has no kernels
-        for size, weight, share in zip(options.kernel_sizes, weights, others, strict=False):
+        weights = (maps[level].importance.exp() * held[level]).unbind(1)
+        # none where the finest level has no kernels; shares of neighbours follow
+        for size, plane, share in zip(options.kernel_sizes, weights, others, strict=False):
+            weight = plane[:, None]
             sums, normal = box(torch.cat([weight * own, weight], 1), size).split((3, 1), 1)
             total = total + share * (sums / normal)
         if maps[level].around.shape[1]:

@@ -1,0 +1,38 @@
+"""The pyramid's twin in torch computes what the runtime does."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from stillray.arrays.strips import Strips  # noqa: E402
+from stillray.families.kernel_pyramid import filter_pyramid  # noqa: E402
+from stillray.stages.state import Filterable  # noqa: E402
+from stillray_training.decoders.pyramid import blended_with_sample, kernel_pyramid, resolve  # noqa: E402
+from tests.families.test_kernel_pyramid import OPTIONS, draw  # noqa: E402
+
+
+def _nchw(image):
+    return torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None]
+
+
+@pytest.mark.parametrize("finest", [True, False])
+@pytest.mark.parametrize("predicted", [True, False])
+@pytest.mark.parametrize("distances", [(), (1, 2)])
+def test_the_twin_equals_the_runtime(finest, predicted, distances):
+    options = dataclasses.replace(
+        OPTIONS, finest_kernels=finest, predicted=predicted, finest_neighbours=distances
+    )
+    mean, sample, albedo, previous, logits = draw(16, 24, options=options)
+    light = Filterable(mean=mean, sample=sample, remodulation_albedo=albedo, previous=previous)
+    wanted = filter_pyramid(light, logits, options, Strips(1))
+    maps = [torch.from_numpy(level)[None] for level in logits]
+    past, new, before = _nchw(mean), torch.from_numpy(sample)[None], _nchw(previous)
+    given = blended_with_sample(past[:, :3], past[:, 3:], new[:, :3], new[:, 3:], maps[0], options)
+    image = kernel_pyramid(*given, maps, options) * _nchw(albedo)
+    image = resolve(image, maps[0], before[:, :3], before[:, 3:], options)
+    np.testing.assert_allclose(image[0].permute(1, 2, 0), wanted, rtol=2e-5)
