@@ -80,7 +80,6 @@ def firefly_four_frames_later(denoiser: stillray.Denoiser) -> float:
     "a firefly of 1e3 to 3e38 after 20 frames",
     "largest pixel / the same without it",
     4,
-    kpyr_5=_TAKES_QUIET_SAMPLES,
     kpyr_5s=_TAKES_QUIET_SAMPLES,
     nbg_7x3=_TRAINED_ON_CLEAN,
     wskp_3="a third above the limit since it reads eight features; why was not found",
@@ -118,7 +117,6 @@ def _clusters(denoiser: stillray.Denoiser, brightness: float, after: int) -> flo
     "largest pixel / the same without it",
     100,
     nbg_7x3=_TRAINED_ON_CLEAN,
-    kpyr_5=_TRUSTS_SAMPLES,
     kpyr_5s=_TRUSTS_SAMPLES,
     wskp_mr=_TRUSTS_SAMPLES,
 )
@@ -131,8 +129,6 @@ def cluster_of_fireflies(denoiser: stillray.Denoiser) -> float:
     "largest pixel / the same without it",
     100,
     nbg_7x3=_TRAINED_ON_CLEAN,
-    kpyr_5=_TRUSTS_SAMPLES,
-    kpyr_5s=_TRUSTS_SAMPLES,
     wskp_mr=_TRUSTS_SAMPLES,
 )
 def cluster_of_huge_fireflies(denoiser: stillray.Denoiser) -> float:

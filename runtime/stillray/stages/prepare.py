@@ -304,6 +304,13 @@ class _Pixels:
         planes = self._past_of(rows)
         if planes is not None and self.confidence is not None:
             planes[3] *= self.confidence[rows]
+        if planes is not None and self.sample is not None:
+            # Whoever takes the sample instead of the past takes it for a new pixel's: what a
+            # firefly is allowed beside a long past would be too much.
+            alone = self._sample_weight(rows, None)
+            if self._buffers.broken is not None:
+                alone[self._buffers.broken[rows]] = acc.FILLED_WEIGHT
+            np.copyto(self.sample[3, rows], alone)
         irradiance, weight = self._weighed(rows, None if planes is None else planes[3])
         if planes is None:
             self.counts.by_frame(weight, rows)
@@ -313,7 +320,6 @@ class _Pixels:
             new = workspace.array("new", (3, *weight.shape))
         else:
             new = self.sample[:3, rows]
-            np.copyto(self.sample[3, rows], weight)
             self.counts.by_frame(self.sample[3, rows], rows)
         planes_of(irradiance, out=new)
         acc.accumulate(new, weight, planes, options, workspace)
