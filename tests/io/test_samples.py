@@ -124,8 +124,8 @@ def test_a_user_names_the_channel_or_leaves_all_of_it_out(tmp_path):
 
 def test_a_number_of_a_user_goes_before_what_the_file_says(tmp_path):
     assert read_exr(BLENDER, samples=256).samples == 256
-    frame, _ = Layout(samples=256).read(BLENDER, {}, None)
-    assert frame.samples == 256
+    (view,) = Layout(samples=256).read(BLENDER, {}, None)
+    assert view.frame.samples == 256
     output = tmp_path / "c.exr"
     assert main(["denoise", str(BLENDER), "-o", str(output), "-m", "fast", "--samples", "256"]) == 0
     options = json.loads(read_metadata(output).getattribute("stillray:options"))

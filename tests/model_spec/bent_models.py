@@ -230,7 +230,7 @@ KINDS: dict[str, tuple[Bend, str]] = {
     "infinite parameters": (as_metadata(PROVENANCE_KEY, '{"parameters": 1e999}'), "a count"),
     "scores beyond all": (as_metadata(PROVENANCE_KEY, _PLENTY), "scores must be numbers"),
     "endless loop": (_endless_loop, "tensor true must hold float32"),
-    "folded constant": (_folded_constant, "tensor size must hold float32"),
+    "folded constant": (_folded_constant, "got ConstantOfShape"),
     "external data": (_external_data, "which no export writes"),
     "function": (_function, "field 25, which no export writes"),
     "foreign operator": (_foreign_operator, "needs operators of com.microsoft"),

@@ -117,7 +117,7 @@ def test_a_network_that_fails_as_it_runs_is_one_line(monkeypatch):
 
 
 def test_a_graph_for_other_engines_says_where_the_model_is():
-    with pytest.raises(stillray.InputError, match=r"the model is kpyr-5s\.onnx beside it"):
+    with pytest.raises(stillray.InputError, match=r"the model is kpyr-5s\.onnx$"):
         stillray.Denoiser(MODELS / "kpyr-5s.whole.onnx")
 
 

@@ -182,9 +182,9 @@ class FrameGraph(nn.Module):
         final = torch.where(relit, own, exposure)
         held = torch.cat([held[:, :3], held[:, 3:] * trusted], 1)
         mean, total, sample, local = self._accumulate(frame, held, irradiance, light, final)
-        disoccluded = (total <= sample[:, 3:]).to(torch.float32)
+        disoccluded = (total <= sample[:, 4:]).to(torch.float32)
         counts = frame.counts
-        total, worth = total * counts.share, sample[:, 3:] * counts.share
+        total, worth = total * counts.share, sample[:, 3:4] * counts.share
         places = follow_nearer(motion, frame.depth)
         modulator, albedo, frames = self._albedo(frame, past, by, places)
         previous, valid = recall(past.output, places, sharp=self.options.sharp_recall)
@@ -220,19 +220,25 @@ class FrameGraph(nn.Module):
     def _accumulate(
         self, frame: Buffers, held: Tensor, irradiance: Tensor, light: Tensor, exposure: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Mean and samples, this frame's sample with its weight, and what is usual around pixels.
+        """Mean and samples, this frame's sample with its weights, and what is usual around pixels.
 
-        ``(1, c, h, w)`` with 3, 1, 4 and 1 channels; ``held`` is the past at these pixels.
+        ``(1, c, h, w)`` with 3, 1, 5 (as a new pixel's, then beside the past) and 1 channels;
+        ``held`` is the past at these pixels.
         """
         spec, size = self.spec, self.spec.transfer.local_size
         local = local_luminance(tone_map(light, exposure), size)
         weight = sample_weight(light, local, held[:, 3:], exposure, spec.temporal)
         new, weight = bound(irradiance, weight)
-        weight = torch.where(frame.broken > 0, FILLED_WEIGHT, weight)
+        alone = sample_weight(light, local, torch.zeros_like(held[:, 3:]), exposure, spec.temporal)
+        # without a past there is no sample beside the mean, which weighs as it was bounded
+        alone = torch.where(frame.moves > 0, alone, weight)
+        weight, alone = (
+            torch.where(frame.broken > 0, FILLED_WEIGHT, each) for each in (weight, alone)
+        )
         mean, total = accumulate(new, weight, held[:, :3], held[:, 3:], spec.temporal)
         if "local_luminance" in spec.network.features:
             local = local_luminance(tone_map(luminance(mean), exposure), size)
-        return mean, total, torch.cat([new, weight], 1), local
+        return mean, total, torch.cat([new, alone, weight], 1), local
 
     def _albedo(
         self, frame: Buffers, past: State, by: Tensor, places: Tensor

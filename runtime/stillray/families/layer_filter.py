@@ -87,7 +87,7 @@ class FilteredLayers:
         albedo = None if irradiance else prepared.demodulation_albedo
         light = self._repaired(radiance)
         light = light * self._factor if albedo is None else light / albedo * self._factor
-        new, weight = planes_of(light), self._sample[3]
+        new, weight = planes_of(light), self._weight
         mean, sample = cv2.merge([light, weight]), None
         if self._accumulated is not None and past is not None:
             mean = self._accumulated(past.layers[name].mean, new)
@@ -125,9 +125,15 @@ class FilteredLayers:
 
     @cached_property
     def _sample(self) -> np.ndarray:
-        """This frame's irradiance and what its samples weigh, ``(4, h, w)``."""
+        """This frame's irradiance and what its samples weigh in new pixels, ``(4, h, w)``."""
         sample = self._prepared.sample
         return planes_of(self._prepared.history.mean) if sample is None else sample
+
+    @property
+    def _weight(self) -> np.ndarray:
+        """What this frame's samples weighed beside the past, ``(h, w)``."""
+        weight = self._prepared.sample_weight
+        return self._sample[3] if weight is None else weight
 
     @cached_property
     def _frozen(self) -> Sequence[np.ndarray]:
@@ -171,7 +177,7 @@ class FilteredLayers:
         if past is None or prepared.motion is None:
             return None
         motion, before, now = prepared.motion, past.surface_guides, prepared.history.surface_guides
-        weight, options = self._sample[3], self._kernels.spec.temporal
+        weight, options = self._weight, self._kernels.spec.temporal
         mask: np.ndarray | None = None
         if before is not None and now is not None and motion.any():
             mask = discontinuities(before, strips, Workspace())

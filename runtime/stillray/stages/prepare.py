@@ -77,7 +77,8 @@ def prepare_planned(plan: TemporalPlan, means: Means) -> Prepared:
             mean_albedo_frames=frames,
             frame_samples=pixels.counts.mean,
         ),
-        sample=pixels.sample,
+        sample=None if pixels.sample is None else pixels.sample[:4],
+        sample_weight=None if pixels.sample is None else pixels.sample[4],
         luminance=exposed.luminance,
         demodulation_albedo=exposed.demodulation_albedo,
         remodulation_albedo=remodulation_albedo,
@@ -164,7 +165,8 @@ class _Pixels:
             if self.surface_guides is None:
                 self.surface_guides = np.empty((*shape, 4), np.float32)
         self.mean = np.empty((*shape, 4), np.float32) if back_buffer is None else back_buffer.mean
-        self.sample = room("sample", 4) if wants.sample and moved else None
+        # irradiance, its weight as a new pixel's, and that beside the past
+        self.sample = room("sample", 5) if wants.sample and moved else None
         looks = moved is not None and wants.previous_output
         self.disoccluded = room("disoccluded", dtype=np.uint8) if looks else None
         wants_local = moved is not None and "local_luminance" in means.spec.network.features
@@ -320,7 +322,9 @@ class _Pixels:
             new = workspace.array("new", (3, *weight.shape))
         else:
             new = self.sample[:3, rows]
-            self.counts.by_frame(self.sample[3, rows], rows)
+            np.copyto(self.sample[4, rows], weight)
+            for plane in self.sample[3:, rows]:
+                self.counts.by_frame(plane, rows)
         planes_of(irradiance, out=new)
         acc.accumulate(new, weight, planes, options, workspace)
         if self.disoccluded is not None:

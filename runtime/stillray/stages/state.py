@@ -106,8 +106,10 @@ class Prepared:
     history
         The history after this frame; its ``mean`` is what the kernels filter.
     sample : (4, h, w) float32 or None
-        This frame's irradiance and, last, what its samples weigh; None where it was not asked
-        for, or where there is no past: it is the ``mean`` then.
+        This frame's irradiance and, last, what its samples would weigh in new pixels; None where
+        it was not asked for, or where there is no past: it is the ``mean`` then.
+    sample_weight : (h, w) float32 or None
+        What they weighed beside the past; None as ``sample``.
     luminance : (h, w) float32
         Luminance of this frame's irradiance.
     demodulation_albedo : (h, w, 3) float32 or None
@@ -139,6 +141,7 @@ class Prepared:
 
     history: History
     sample: np.ndarray | None
+    sample_weight: np.ndarray | None
     luminance: np.ndarray
     demodulation_albedo: np.ndarray | None
     remodulation_albedo: np.ndarray | None
