@@ -1,11 +1,9 @@
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import shutil
 import sys
 import tomllib
-from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
@@ -127,18 +125,29 @@ def test_settings_that_a_model_does_not_have_are_refused():
         with_overrides(find_model("wskp-3"), max_samples=0.5)
 
 
-@pytest.fixture(autouse=True)
-def offered(monkeypatch):
-    """The entry point as pyproject.toml has it, whatever is installed."""
+def _distribution(folder: Path, entry_points: dict[str, str]) -> Path:
+    """A folder for `sys.path` with stillray's metadata; it goes before what is installed."""
+    info = folder / "metadata" / "stillray-0.0.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stillray\nVersion: 0.0.0\n")
+    lines = [f"[{COMMAND.GROUP}]", *(f"{name} = {at}" for name, at in entry_points.items())]
+    (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
+    return info.parent
+
+
+@pytest.fixture
+def offered(tmp_path, monkeypatch):
+    """The entry points as pyproject.toml has them, whatever is installed.
+
+    Real metadata, since other libraries ask `importlib.metadata` too, in their own ways.
+    """
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
-    found = [
-        EntryPoint(*item, COMMAND.GROUP) for item in project["entry-points"][COMMAND.GROUP].items()
-    ]
-    monkeypatch.setattr(
-        importlib.metadata,
-        "entry_points",
-        lambda group, name: [e for e in found if (e.group, e.name) == (group, name)],
-    )
+    monkeypatch.syspath_prepend(_distribution(tmp_path, project["entry-points"][COMMAND.GROUP]))
+
+
+@pytest.fixture
+def not_offered(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(_distribution(tmp_path, {}))
 
 
 @pytest.fixture(scope="module")
@@ -151,6 +160,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.usefixtures("offered")
 def test_models_options_and_peers_are_scored_and_timed(folder, tmp_path, capsys):
     pytest.importorskip("matplotlib")
     plot = tmp_path / "t.png"
@@ -176,6 +186,7 @@ def test_models_options_and_peers_are_scored_and_timed(folder, tmp_path, capsys)
     assert plot.stat().st_size > 10_000
 
 
+@pytest.mark.usefixtures("offered")
 def test_the_table_ends_with_advice_for_every_metric(folder, capsys):
     assert cli.main(["tradeoff", str(folder), "--model", "wskp-3", "--no-peers"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -192,13 +203,14 @@ def test_threads_change_no_picture_and_are_scored_once(monkeypatch):
     assert "wskp-3, 1 thread" not in {o.label for o in tradeoff.model_options("wskp-3")}
 
 
-def test_without_the_evaluation_one_line_says_what_to_install(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(importlib.metadata, "entry_points", lambda **of: [])
+@pytest.mark.usefixtures("not_offered")
+def test_without_the_evaluation_one_line_says_what_to_install(tmp_path, capsys):
     assert cli.main(["tradeoff", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert error == "error: tradeoff needs the evaluation: pip install 'stillray[compare]'\n"
 
 
+@pytest.mark.usefixtures("offered")
 def test_a_folder_without_references_is_refused(tmp_path, capsys):
     assert cli.main(["tradeoff", str(tmp_path), "--model", "wskp-3", "--no-peers"]) == 2
     assert "folder must hold sequences with references" in capsys.readouterr().err
