@@ -1,6 +1,7 @@
 """Calls as an engine makes them: ended inside a frame, with alpha, in other encodings and types."""
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -35,6 +36,42 @@ def test_a_cancelled_frame_leaves_the_history_as_it_was(model, threads):
             with pytest.raises(stillray.Cancelled, match="progress returned False"):
                 denoiser.denoise(second, progress=lambda share, end=end: np.bool_(share < end))
         np.testing.assert_allclose(denoiser.denoise(second), expected, rtol=2e-4, atol=1e-5)
+
+
+def broken(frame):
+    """With a hole of NaN in every buffer."""
+    buffers = {}
+    for name in ("color", "albedo", "normal", "depth", "motion"):
+        buffers[name] = getattr(frame, name).copy()
+        buffers[name][20:40, 30:60] = np.nan
+    return replace(frame, **buffers)
+
+
+@pytest.mark.parametrize("what", ["broken", "srgb", "layers"])
+def test_a_frame_can_be_ended_at_every_one_of_many_looks(what):
+    """No part of a frame goes as a whole: of a large one it would take long."""
+    first, second = (broken(frame) if what == "broken" else frame for frame in swing(*SHAPE))
+
+    def denoise(denoiser, frame, **options):
+        if what == "layers":
+            return denoiser.denoise_layers(frame, {"half": frame.color / 2}, **options)[0]
+        return denoiser.denoise(frame, encoding="srgb" if what == "srgb" else "hdr", **options)
+
+    with stillray.Denoiser("fast", threads=1) as plain:
+        denoise(plain, first)
+        usual = []
+        denoise(plain, second, progress=usual.append)
+    with in_strips(stillray.Denoiser("fast", threads=1), 1) as denoiser:
+        denoise(denoiser, first)
+        state, looks = denoiser.state, []
+        expected = denoise(denoiser, second, progress=looks.append)
+        assert len(looks) > 3 * len(usual)
+        for end in range(0, len(looks) - 1, 7):
+            denoiser.state, seen = state, iter([True] * end)
+            with pytest.raises(stillray.Cancelled):
+                denoise(denoiser, second, progress=lambda _, seen=seen: next(seen, False))
+        denoiser.state = state
+        np.testing.assert_array_equal(denoise(denoiser, second), expected)
 
 
 def test_a_cancelled_frame_with_layers_leaves_their_history_too():

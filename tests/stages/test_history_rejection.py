@@ -210,7 +210,7 @@ def test_confidence_agrees_with_loops(rng, shape):
     blocks[2] = blocks[0] * rng.uniform(0.5, 2, (rows, columns))
     blocks[3] = blocks[0] * rng.exponential(0.04, (rows, columns))
     motion = np.zeros((*shape, 2), np.float32)
-    found, _ = history_rejection.confidence(blocks, None, motion, 1.0)
+    found, _ = history_rejection.confidence(blocks, None, motion, 1.0, Strips(1))
     wanted = confidence_by_loops(blocks.astype(np.float64), shape)
     assert (wanted < 0.5).mean() > 0.1
     np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-4)

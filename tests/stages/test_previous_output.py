@@ -165,7 +165,10 @@ def test_what_was_just_uncovered_has_no_past_but_thin_lines_keep_theirs(rng):
     expected[8:12, 21:24] = 0
     given = output.copy()
     past = previous_output.forget_uncovered(
-        given, given, SimpleNamespace(disoccluded=disoccluded, history_confidence=None)
+        given,
+        given,
+        SimpleNamespace(disoccluded=disoccluded, history_confidence=None),
+        Strips(2, pixels=24 * 3),
     )
     np.testing.assert_array_equal(past, expected)
     np.testing.assert_array_equal(given, output)  # which belongs to the history

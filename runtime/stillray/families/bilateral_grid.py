@@ -122,7 +122,7 @@ def filter_grids(
     (h, w, 3) float32
         A convex combination of irradiance within `reach`; 0 where no pixel around counts.
     """
-    if np.isnan(maps.max()):
+    if any(_has_nan(plane, strips) for plane in maps):
         maps = np.nan_to_num(maps, nan=0.5)
     height, width = mean.shape[:2]
     unit = _unit(options)
@@ -153,6 +153,11 @@ def filter_grids(
 
     strips.run(read, *units)
     return image
+
+
+def _has_nan(plane: np.ndarray, strips: Strips) -> bool:
+    strips.watch.look()
+    return bool(np.isnan(plane.max()))
 
 
 def _unit(options: BilateralGrids) -> int:

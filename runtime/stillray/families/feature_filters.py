@@ -141,8 +141,11 @@ class FeatureFiltersModel:
             whole &= all(bool(guide.min() >= 0 and guide.max() <= 1) for guide in guides.values())
         if not whole:
             with timed(context.timings, "repair"):
-                buffers = buffers.repaired()
-                guides = {name: repair_feature(guide, 0.0, 1.0) for name, guide in guides.items()}
+                buffers = buffers.repaired(context.strips)
+                guides = {
+                    name: repair_feature(guide, 0.0, 1.0, context.strips)
+                    for name, guide in guides.items()
+                }
         past, why = _past_of(frame, before, request)
         return UpscalePlan(
             stages=self._stages(frame, request, whole, "" if past else why),

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stillray.arrays.extend import extended
 from stillray.arrays.resample import halve
 from stillray.arrays.strips import Strips, interleave, planes_of, with_halo
 from stillray.arrays.workspace import Workspace
@@ -154,21 +155,15 @@ def _whole_blocks(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Mean and sample of a size that the levels divide: the last row and column are repeated."""
     mean, sample = light.mean, light.sample
-    bottom, right = size[0] - mean.shape[0], size[1] - mean.shape[1]
-    if not bottom and not right:
+    if mean.shape[:2] == size:
         return mean, sample
-    mean = _extended(mean, bottom, right, strips.workspace.array("extended", (*size, 4)))
+    mean = extended(mean, strips.workspace.array("extended", (*size, 4)), strips)
     if sample is not None:
         planes = strips.workspace.array("extended sample", (4, *size))
         for plane, target in zip(sample, planes, strict=True):
-            _extended(plane, bottom, right, target)
+            extended(plane, target, strips)
         sample = planes
     return mean, sample
-
-
-def _extended(image: np.ndarray, bottom: int, right: int, out: np.ndarray) -> np.ndarray:
-    """An image with its last row and column repeated."""
-    return cv2.copyMakeBorder(image, 0, bottom, 0, right, cv2.BORDER_REPLICATE, dst=out)
 
 
 def _blended_with_sample(

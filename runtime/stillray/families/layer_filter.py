@@ -85,13 +85,13 @@ class FilteredLayers:
         """Filter a layer, see `stillray.families.contract.LayerFilter`."""
         prepared, past = self._prepared, self._plan.moved
         albedo = None if irradiance else prepared.demodulation_albedo
-        light = self._repaired(radiance)
-        light = light * self._factor if albedo is None else light / albedo * self._factor
-        new, weight = planes_of(light), self._weight
-        mean, sample = cv2.merge([light, weight]), None
-        if self._accumulated is not None and past is not None:
-            mean = self._accumulated(past.layers[name].mean, new)
-            sample = np.concatenate([new, self._sample[3:]])
+        accumulated = None if past is None else self._accumulated
+        new, mean = self._demodulated(radiance, albedo, alone=accumulated is None)
+        sample: np.ndarray | None = None
+        if accumulated is not None and past is not None:
+            mean = accumulated(past.layers[name].mean, new[:3])
+            sample = new
+        assert mean is not None
         own = Filterable(
             mean=mean,
             sample=sample,
@@ -106,13 +106,49 @@ class FilteredLayers:
             self.pasts[name] = LayerPast(mean=mean, output=output)
         return image
 
+    def _demodulated(
+        self, radiance: np.ndarray, albedo: np.ndarray | None, *, alone: bool
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """A layer's irradiance as the color's was weighed.
+
+        Parameters
+        ----------
+        alone
+            Whether there is no past.
+
+        Returns
+        -------
+        new : (4, h, w) float32
+            Irradiance, and what its samples weigh in new pixels.
+        mean : (h, w, 4) float32 or None
+            The same with what they weigh beside the past, if it is all there is.
+        """
+        light, factor = self._repaired(radiance), self._factor
+        weights, weight, shape = self._sample[3], self._weight, light.shape[:2]
+        new = np.empty((4, *shape), np.float32)
+        mean = np.empty((*shape, 4), np.float32) if alone else None
+
+        def work(rows: slice) -> None:
+            own = light[rows] if albedo is None else light[rows] / albedo[rows]
+            own = own * factor[rows, :, None]
+            planes_of(own, out=new[:3, rows])
+            new[3, rows] = weights[rows]
+            if mean is not None:
+                cv2.merge([own, weight[rows]], dst=mean[rows])
+
+        self._strips.run(work, *shape)
+        return new, mean
+
     def _repaired(self, radiance: np.ndarray) -> np.ndarray:
-        light = np.where(np.isfinite(radiance), radiance, np.float32(0))
-        broken = self._plan.buffers.broken
-        if broken is not None:
-            light[broken] = 0
-            light = fill(light, ~broken)
-        return light
+        broken, light = self._plan.buffers.broken, np.empty(radiance.shape, np.float32)
+
+        def work(rows: slice) -> None:
+            light[rows] = np.where(np.isfinite(radiance[rows]), radiance[rows], np.float32(0))
+            if broken is not None:
+                light[rows][broken[rows]] = 0
+
+        self._strips.run(work, *radiance.shape[:2])
+        return light if broken is None else fill(light, ~broken, self._strips)
 
     def _previous(self, name: str) -> np.ndarray | None:
         past = self._plan.moved
@@ -121,7 +157,9 @@ class FilteredLayers:
         output = past.layers[name].output
         if output is None:
             return None
-        return previous_output.forget_uncovered(self._follow(output), output, self._prepared)
+        return previous_output.forget_uncovered(
+            self._follow(output), output, self._prepared, self._strips
+        )
 
     @cached_property
     def _sample(self) -> np.ndarray:
@@ -142,19 +180,25 @@ class FilteredLayers:
 
     @cached_property
     def _factor(self) -> np.ndarray:
-        """What each pixel of the color was darkened by as an outlier, ``(h, w, 1)``.
+        """What each pixel of the color was darkened by as an outlier, ``(h, w)``.
 
         See `stillray.stages.accumulate.clamp_fireflies`: all channels of a pixel
         alike, so their sums tell.
         """
         color, albedo = self._plan.buffers.color, self._prepared.demodulation_albedo
-        irradiance = color if albedo is None else color / albedo
-        total = np.ones((1, 3), np.float32)
-        before, after = cv2.transform(irradiance, total), self._sample[:3].sum(axis=0)
-        factor = np.ones_like(before)
-        np.divide(after, before, out=factor, where=before > 0)
-        factor[np.abs(factor - 1) < _ROUNDING] = 1
-        return factor[..., None]
+        total, sample = np.ones((1, 3), np.float32), self._sample
+        factor = np.empty(color.shape[:2], np.float32)
+
+        def work(rows: slice) -> None:
+            irradiance = color[rows] if albedo is None else color[rows] / albedo[rows]
+            before, after = cv2.transform(irradiance, total), sample[:3, rows].sum(axis=0)
+            found = factor[rows]
+            found.fill(1)
+            np.divide(after, before, out=found, where=before > 0)
+            found[np.abs(found - 1) < _ROUNDING] = 1
+
+        self._strips.run(work, *factor.shape)
+        return factor
 
     @cached_property
     def _follow(self) -> Callable[[np.ndarray], np.ndarray] | None:

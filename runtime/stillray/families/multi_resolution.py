@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stillray.arrays.extend import extended
 from stillray.arrays.resample import double, halve
 from stillray.arrays.strips import Strips, interleave, planes_of, with_halo
 from stillray.arrays.workspace import Workspace
@@ -162,10 +163,9 @@ def _resolutions(
     mean: np.ndarray, logits: Sequence[np.ndarray], options: FusedKernels, strips: Strips
 ) -> list[np.ndarray]:
     """Light and samples of each level, ``(h, w, 4)``, finest first: weighted means of blocks."""
-    height, width = logits[0].shape[1:]
-    bottom, right = height - mean.shape[0], width - mean.shape[1]
-    if bottom or right:
-        mean = cv2.copyMakeBorder(mean, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
+    size = logits[0].shape[1:]
+    if mean.shape[:2] != size:
+        mean = extended(mean, np.empty((*size, 4), np.float32), strips)
     means = [mean]
     for level in logits[1:]:
         means.append(_halved(means[-1], level.shape[1:], options, strips))

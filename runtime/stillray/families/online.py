@@ -102,7 +102,8 @@ class OnlineModel:
         if not whole:
             with timed(context.timings, "repair"):
                 empty = frame.samples == 0 if isinstance(frame.samples, np.ndarray) else None
-                buffers, second = buffers.repaired(), repair_radiance(second, empty)[0]
+                buffers = buffers.repaired(context.strips)
+                second = repair_radiance(second, empty, context.strips)[0]
         past, learned, why = _remembered(frame.shape, before, request)
         moves = past and frame.motion is not None
         if past and not moves:

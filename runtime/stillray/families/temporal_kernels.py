@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from stillray.arrays.strips import Strips
+from stillray.arrays.strips import STRIP_PIXELS, Strips
 from stillray.arrays.tiles import Tile
 from stillray.families.contract import Context, Request, State, Step, Traits
 from stillray.families.layer_filter import FilteredLayers
@@ -270,7 +270,8 @@ class TemporalKernels(ABC):
             )
 
         with timed(context.timings, "encode"):
-            context.strips.run(pack, height, width)
+            # many planes: half of a strip, so that a frame that is cancelled ends soon
+            context.strips.run(pack, height, width, pixels=STRIP_PIXELS // 2)
             # to a multiple by repeating the last column and row
             planes[..., :height, width:] = planes[..., :height, width - 1 : width]
             planes[..., height:, :] = planes[..., height - 1 : height, :]

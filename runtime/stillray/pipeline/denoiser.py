@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from numbers import Integral
@@ -245,12 +246,15 @@ class Denoiser:
             raise InputError("denoise_alpha must be False for a frame without alpha, got True")
         target = Target.of(out, dtype, (height, width, channels))
         values = encoding_of(encoding)
-        if values is not Encoding.HDR:
-            frame = replace(frame, color=decoded(frame.color, values))
-        layers = {"alpha": _grey(frame.alpha)} if denoise_alpha else {}
-        image, filtered = self._run(frame, layers, layers, progress)
+        with self._turn(progress) as engine:
+            if values is not Encoding.HDR:
+                frame = replace(frame, color=decoded(frame.color, values, self._strips))
+            layers = {"alpha": _grey(frame.alpha)} if denoise_alpha else {}
+            image, filtered, state = self._frame(frame, layers, layers, engine)
+            image = encoded(image, values, self._strips)
+            self._remember(state)
         alpha = np.clip(filtered["alpha"][..., 0], 0, 1) if denoise_alpha else frame.alpha
-        return target.put(encoded(image, values), alpha)
+        return target.put(image, alpha)
 
     def denoise_layers(
         self,
@@ -292,24 +296,22 @@ class Denoiser:
         Cancelled
             ``progress`` returned False.
         """
-        return self._run(frame, validated(layers, frame), irradiance, progress)
+        layers = validated(layers, frame)
+        with self._turn(progress) as engine:
+            image, filtered, state = self._frame(frame, layers, irradiance, engine)
+            self._remember(state)
+        return image, filtered
 
-    def _run(
-        self,
-        frame: Frame,
-        layers: Mapping[str, np.ndarray],
-        irradiance: Collection[str],
-        progress: Progress | None,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    @contextmanager
+    def _turn(self, progress: Progress | None) -> Iterator[Engine]:
+        """A frame's turn, looked at; gives what runs networks."""
         with self._turns.take():
             before, self.last_timings = self.last_timings, {}
             watch = self._strips.watch
             with watch.over(progress, partial(share_done, self.last_timings, before)):
-                engine = self.engine if progress is None else WatchedEngine(self.engine, watch)
-                images = self._frame(frame, layers, irradiance, engine)
+                yield self.engine if progress is None else WatchedEngine(self.engine, watch)
             if progress is not None:
                 progress(1.0)
-            return images
 
     def _frame(
         self,
@@ -317,7 +319,8 @@ class Denoiser:
         layers: Mapping[str, np.ndarray],
         irradiance: Collection[str],
         engine: Engine,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    ) -> tuple[np.ndarray, dict[str, np.ndarray], State]:
+        """The picture, layers by name, and what is to be remembered."""
         context = Context(
             strips=self._strips,
             engine=engine,
@@ -331,8 +334,7 @@ class Denoiser:
             with timed(self.last_timings, "layers"):
                 for name, layer in layers.items():
                     images[name] = step.filter_layer(name, layer, irradiance=name in irradiance)
-        self._remember(step.finish())
-        return step.image, images
+        return step.image, images, step.finish()
 
     def _plan(self, frame: Frame, layers: Collection[str], context: Context) -> Plan:
         traits = self._family.traits

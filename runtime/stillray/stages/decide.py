@@ -103,7 +103,7 @@ def decide(
         whole = all(strips.run(buffers.in_range, *frame.shape))
     if not whole:
         with timed(timings, "repair"):
-            buffers = buffers.repaired()
+            buffers = buffers.repaired(strips)
     found = past.leaves if isinstance(past, TemporalPlan) else None
     if isinstance(past, History):
         found = past.remembered

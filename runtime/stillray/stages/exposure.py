@@ -48,6 +48,7 @@ def expose(plan: TemporalPlan, means: Means) -> Exposed:
     by, luminance = _demodulated(plan, means)
     with timed(means.timings, "expose"):
         own = exposure = features.frame_exposure(luminance, means.spec.transfer)
+        means.strips.watch.look()
         local = means.workspace.array("local", plan.shape)
         if plan.past is not None:
             exposure = features.steady_exposure(own, plan.past.exposure, means.spec.transfer)

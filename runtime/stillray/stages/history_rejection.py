@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stillray.arrays.strips import Strips
 from stillray.arrays.workspace import Workspace
 from stillray.stages.accumulate import DARK, MIN_WEIGHT
 from stillray.stages.features import luminance_of_planes
@@ -142,7 +143,7 @@ def confidence(
     noise: Noise | None,
     motion: np.ndarray,
     exposure: float,
-    look: Callable[[], None] = lambda: None,
+    strips: Strips,
 ) -> tuple[np.ndarray | None, Noise]:
     """How far the past can be trusted, by its bias.
 
@@ -163,8 +164,8 @@ def confidence(
         Pixels, finite.
     exposure
         1 / irradiance.
-    look
-        Called between pieces of work, see `stillray.arrays.watch`.
+    strips
+        Where the work runs, and is looked at.
 
     Returns
     -------
@@ -173,30 +174,26 @@ def confidence(
     noise
         For the next frame.
     """
+    look = strips.watch.look
     pyramid = [blocks]
     while len(pyramid) < _LEVELS and min(pyramid[-1].shape[1:]) > 1:
-        pyramid.append(_halved(pyramid[-1]))
-        look()
+        pyramid.append(_halved(pyramid[-1], look))
     lowest = min(_NOISE_LEVEL, len(pyramid) - 1)
-    window = _Window.around(pyramid[lowest], lowest)
+    window = _Window.around(pyramid[lowest], lowest, strips)
     noise = _follow_noise(noise, window, motion, exposure, lowest)
     usual = np.maximum(noise.variance, window.variance)
     bias = np.zeros(pyramid[-1].shape[1:], np.float32)
     for level in reversed(range(len(pyramid))):
         shape = pyramid[level].shape[1:]
-        window = _Window.around(pyramid[level], level)
-        look()
+        window = _Window.around(pyramid[level], level, strips)
         at_level = _at_level(usual, lowest, level, shape)
+        look()
         bias = _doubled(bias, shape)
-        look()
-        bias = _corrected(bias, window, at_level, _THRESHOLDS[level + 1])
-        look()
-    alone = _Window.alone(blocks, window)
-    bias = _corrected(bias, alone, at_level, _THRESHOLDS[0])
+        bias = _corrected(bias, window, at_level, _THRESHOLDS[level + 1], strips)
     look()
-    if not bias.any():
+    kept = _confidence_of_blocks(blocks, bias, window, at_level, strips)
+    if kept is None:
         return None, noise
-    kept = _kept(bias, alone, blocks[0])
     look()
     return _doubled(kept, motion.shape[:2]), noise
 
@@ -211,18 +208,36 @@ class _Window:
     variance: np.ndarray
 
     @staticmethod
-    def around(planes: np.ndarray, level: int) -> _Window:
+    def around(planes: np.ndarray, level: int, strips: Strips) -> _Window:
         """Windows of 3x3 blocks."""
-        # outside of the frame there are no samples
+        # Outside of the frame there are no samples. OpenCV carries the sums of columns on from row
+        # to row: planes are blurred as a whole, so that a picture does not depend on strips.
         size, border = (_WINDOW, _WINDOW), cv2.BORDER_CONSTANT
-        held, *means = (cv2.blur(plane, size, borderType=border) for plane in planes)
-        share = np.reciprocal(np.maximum(held, _LEAST_WEIGHT))
-        for mean in means:
-            mean *= share
-        difference, light, variance = means
-        np.maximum(variance, 0, out=variance)
-        held *= np.float32(_WINDOW**2 * (4 << 2 * level))
+        blurred = []
+        for plane in planes:
+            blurred.append(cv2.blur(plane, size, borderType=border))
+            strips.watch.look()
+        held, difference, light, variance = blurred
+        count = np.float32(_WINDOW**2 * (4 << 2 * level))
+
+        def work(rows: slice) -> None:
+            share = np.reciprocal(np.maximum(held[rows], _LEAST_WEIGHT))
+            for mean in (difference, light, variance):
+                mean[rows] *= share
+            np.maximum(variance[rows], 0, out=variance[rows])
+            held[rows] *= count
+
+        strips.run(work, *held.shape)
         return _Window(samples=held, difference=difference, light=light, variance=variance)
+
+    def of(self, rows: slice) -> _Window:
+        """Some rows of them."""
+        return _Window(
+            samples=self.samples[rows],
+            difference=self.difference[rows],
+            light=self.light[rows],
+            variance=self.variance[rows],
+        )
 
     @staticmethod
     def alone(planes: np.ndarray, window: _Window) -> _Window:
@@ -243,7 +258,7 @@ class _Window:
         return error
 
 
-def _halved(planes: np.ndarray) -> np.ndarray:
+def _halved(planes: np.ndarray, look: Callable[[], None]) -> np.ndarray:
     """Means of 2x2 blocks; what sticks out of the frame is zeros."""
     height, width = planes.shape[1:]
     bottom, right = height % 2, width % 2
@@ -253,6 +268,7 @@ def _halved(planes: np.ndarray) -> np.ndarray:
         if bottom or right:
             plane = cv2.copyMakeBorder(plane, 0, bottom, 0, right, cv2.BORDER_CONSTANT, value=0)
         cv2.resize(plane, size, dst=target, interpolation=cv2.INTER_AREA)
+        look()
     return out
 
 
@@ -298,9 +314,36 @@ def _follow_noise(
 
 
 def _corrected(
-    bias: np.ndarray, window: _Window, usual: np.ndarray, threshold: float
+    bias: np.ndarray, window: _Window, usual: np.ndarray, threshold: float, strips: Strips
 ) -> np.ndarray:
     """The bias that coarser windows found, corrected by what finer ones say."""
+    corrected = np.empty_like(window.difference)
+
+    def work(rows: slice) -> None:
+        corrected[rows] = _shrunk(bias[rows], window.of(rows), usual[rows], threshold)
+
+    strips.run(work, *corrected.shape)
+    return corrected
+
+
+def _confidence_of_blocks(
+    blocks: np.ndarray, bias: np.ndarray, window: _Window, usual: np.ndarray, strips: Strips
+) -> np.ndarray | None:
+    """What is left of the past of each block of 2x2 pixels; None where nothing is lost."""
+    kept = np.empty_like(bias)
+
+    def work(rows: slice) -> bool:
+        own = blocks[:, rows]
+        alone = _Window.alone(own, window.of(rows))
+        found = _shrunk(bias[rows], alone, usual[rows], _THRESHOLDS[0])
+        kept[rows] = _kept(found, alone, own[0])
+        return bool(found.any())
+
+    return kept if any(strips.run(work, *kept.shape)) else None
+
+
+def _shrunk(bias: np.ndarray, window: _Window, usual: np.ndarray, threshold: float) -> np.ndarray:
+    """`_corrected` of a strip."""
     error: np.ndarray = np.maximum(window.variance, usual)
     error *= 1 / np.maximum(window.samples, _LEAST_WEIGHT) + 1 / _MOST_SAMPLES
     error *= np.float32(threshold**2)

@@ -269,7 +269,7 @@ class _Pixels:
                 noise,
                 motion,
                 self.exposed.exposure,
-                self._means.strips.watch.look,
+                self._means.strips,
             )
         kept = 1.0 if self.confidence is None else cv2.mean(self.confidence)[0]
         kept *= cv2.countNonZero(self._blocks[0]) / self._blocks[0].size  # 0 without a past
@@ -383,7 +383,12 @@ def _albedo_history(
     if next_albedo is None:
         next_albedo = np.empty((*plan.shape, 4), np.float32)
     if not plan.runs("accumulate_albedo") or plan.past is None or plan.past.mean_albedo is None:
-        albedo_history.begin(now, next_albedo)
+        first = next_albedo
+
+        def begin(rows: slice) -> None:
+            albedo_history.begin(now[rows], first[rows])
+
+        means.strips.run(begin, *plan.shape)
         return now, next_albedo, 1.0
     with timed(means.timings, "accumulate_albedo"):
         samples = min(plan.past.mean_albedo_frames, options.albedo_samples)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from stillray.arrays.strips import Strips, pixels_of
+from stillray.arrays.strips import Strips, pixels_of, with_halo
 from stillray.arrays.workspace import Workspace
 from stillray.stages import features as encode
 from stillray.stages.reproject import bilinear
@@ -41,10 +41,12 @@ def resampled(
         return None
     out = None if workspace is None else workspace.array("resampled", history.output.shape)
     past = resample(history.output, prepared.picture_positions, strips, out, sharp=sharp)
-    return forget_uncovered(past, history.output, prepared)
+    return forget_uncovered(past, history.output, prepared, strips)
 
 
-def forget_uncovered(past: np.ndarray, output: np.ndarray, prepared: Prepared) -> np.ndarray:
+def forget_uncovered(
+    past: np.ndarray, output: np.ndarray, prepared: Prepared, strips: Strips
+) -> np.ndarray:
     """The resampled output without what the frame has just uncovered: zeros there.
 
     Where no tap of the history was accepted, nor around, the surface was not seen before, and what
@@ -60,23 +62,42 @@ def forget_uncovered(past: np.ndarray, output: np.ndarray, prepared: Prepared) -
         The last output, which belongs to the history; not changed.
     prepared
         The frame; what is ``disoccluded`` in it had no past.
+    strips
+        Where the work runs.
     """
-    confidence = prepared.history_confidence
-    uncovered = np.empty(0, np.intp)
-    if prepared.disoccluded is not None:
-        opened = cv2.morphologyEx(prepared.disoccluded, cv2.MORPH_OPEN, _AROUND)
-        uncovered = np.flatnonzero(opened)
-    if not uncovered.size and confidence is None:
+    confidence, uncovered = prepared.history_confidence, _uncovered(prepared.disoccluded, strips)
+    if uncovered is None and confidence is None:
         return past
-    if past is output:
-        past = past.copy()
-    if confidence is not None:
-        lost = np.flatnonzero(confidence < 1)
-        valid = np.maximum(_STEEP * np.take(confidence, lost) + (1 - _STEEP), 0)
-        past.reshape(-1, 4)[lost, 3] *= valid
-        pixels_of(past)[lost[valid == 0]] = 0
-    pixels_of(past)[uncovered] = 0
-    return past
+    result = np.empty_like(past) if past is output else past
+
+    def work(rows: slice) -> None:
+        mine = result[rows]
+        if past is output:
+            np.copyto(mine, past[rows])
+        if confidence is not None:
+            lost = np.flatnonzero(confidence[rows] < 1)
+            valid = np.maximum(_STEEP * np.take(confidence[rows], lost) + (1 - _STEEP), 0)
+            mine.reshape(-1, 4)[lost, 3] *= valid
+            pixels_of(mine)[lost[valid == 0]] = 0
+        if uncovered is not None:
+            pixels_of(mine)[np.flatnonzero(uncovered[rows])] = 0
+
+    strips.run(work, *past.shape[:2])
+    return result
+
+
+def _uncovered(disoccluded: np.ndarray | None, strips: Strips) -> np.ndarray | None:
+    """What is disoccluded but for thin lines, ``(h, w)`` uint8; None where nothing is."""
+    if disoccluded is None:
+        return None
+    height, opened = len(disoccluded), np.empty_like(disoccluded)
+
+    def work(rows: slice) -> bool:
+        near, own = with_halo(rows, 2, height)  # one for each half of an opening
+        opened[rows] = cv2.morphologyEx(disoccluded[near], cv2.MORPH_OPEN, _AROUND)[own]
+        return bool(opened[rows].any())
+
+    return opened if any(strips.run(work, *opened.shape)) else None
 
 
 def keep(image: np.ndarray, strips: Strips, back_buffer: History | None = None) -> np.ndarray:

@@ -7,12 +7,15 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from stillray.arrays.strips import STRIP_PIXELS, Strips, with_halo
 from stillray.frame import Frame
 
 # Radiance above this is clamped: sums of a 13x13 window stay finite in float32.
 MAX_RADIANCE = 1e30
 MAX_DEPTH = 1e30  # any unit; keeps products of depth in float32
 MAX_MOTION = 1e6  # pixels; outside of every frame
+_FEW_TAPS = 32  # of a window's side: with more, strips are of fewer pixels
+_ONE = np.ones(1, np.float32)
 _RANGES = {
     "color": (0.0, MAX_RADIANCE),
     "albedo": (0.0, 1.0),
@@ -58,21 +61,27 @@ class Buffers:
             if array is not None
         )
 
-    def repaired(self) -> Buffers:
-        """All in range; what was, is passed on without a copy."""
+    def repaired(self, strips: Strips | None = None) -> Buffers:
+        """All in range; what was, is passed on without a copy.
+
+        Parameters
+        ----------
+        strips
+            Where the work runs; None for the caller's thread.
+        """
         empty = self.samples == 0 if isinstance(self.samples, np.ndarray) else None
-        color, broken = repair_radiance(self.color, empty)
+        color, broken = repair_radiance(self.color, empty, strips)
         features = {
-            name: None if array is None else repair_feature(array, *_RANGES[name])
+            name: None if array is None else repair_feature(array, *_RANGES[name], strips)
             for name in ("albedo", "normal", "depth")
             for array in [getattr(self, name)]
         }
-        motion = None if self.motion is None else repair_motion(self.motion)
+        motion = None if self.motion is None else repair_motion(self.motion, strips)
         return replace(self, color=color, motion=motion, broken=broken, **features)
 
 
 def repair_radiance(
-    color: np.ndarray, empty: np.ndarray | None = None
+    color: np.ndarray, empty: np.ndarray | None = None, strips: Strips | None = None
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Replace NaN, infinite and negative radiance from finite neighbours.
 
@@ -82,6 +91,8 @@ def repair_radiance(
         Radiance. Not changed.
     empty : (h, w) bool, optional
         Pixels whose radiance means nothing, whatever it says.
+    strips
+        Where the work runs; None for the caller's thread.
 
     Returns
     -------
@@ -94,41 +105,74 @@ def repair_radiance(
         a sample.
     """
     empty = empty if empty is not None and empty.any() else None
-    if empty is None and within(color, 0, MAX_RADIANCE):
+    strips = strips or Strips(1)
+    if empty is None and _all_within(color, 0, MAX_RADIANCE, strips):
         return color, None
-    valid = np.isfinite(color).all(axis=-1)
-    if empty is not None:
-        valid &= ~empty
-    cleaned = np.clip(np.where(valid[..., None], color, 0), 0, MAX_RADIANCE).astype(np.float32)
+    shape = color.shape[:2]
+    valid, cleaned = np.empty(shape, bool), np.empty(color.shape, np.float32)
+
+    def work(rows: slice) -> None:
+        valid[rows] = np.isfinite(color[rows]).all(axis=-1)
+        if empty is not None:
+            valid[rows] &= ~empty[rows]
+        safe = np.where(valid[rows, :, None], color[rows], 0)
+        cleaned[rows] = np.clip(safe, 0, MAX_RADIANCE)
+
+    strips.run(work, *shape)
     if valid.all():
         return cleaned, None
-    return fill(cleaned, valid), ~valid
+    return fill(cleaned, valid, strips), ~valid
 
 
-def repair_feature(feature: np.ndarray, low: float, high: float) -> np.ndarray:
+def repair_feature(
+    feature: np.ndarray, low: float, high: float, strips: Strips | None = None
+) -> np.ndarray:
     """Clip a feature to its range; a value that is not finite becomes 0, "nothing was hit".
 
     Parameters
     ----------
-    feature : float32 array of any shape
+    feature : (h, w) or (h, w, c) float32 array
         Not changed.
     low, high
         The feature's range.
+    strips
+        Where the work runs; None for the caller's thread.
     """
-    if within(feature, low, high):
+    strips = strips or Strips(1)
+    if _all_within(feature, low, high, strips):
         return feature
-    safe: np.ndarray = np.where(np.isfinite(feature), feature, np.float32(0))
-    return np.clip(safe, low, high)
+    result = np.empty_like(feature)
+
+    def work(rows: slice) -> None:
+        part = feature[rows]
+        np.clip(np.where(np.isfinite(part), part, np.float32(0)), low, high, out=result[rows])
+
+    strips.run(work, *feature.shape[:2])
+    return result
 
 
-def repair_motion(motion: np.ndarray) -> np.ndarray:
+def repair_motion(motion: np.ndarray, strips: Strips | None = None) -> np.ndarray:
     """Motion that is not finite, or beyond MAX_MOTION, becomes MAX_MOTION.
 
-    A point that came from nowhere is one that came from far outside.
+    A point that came from nowhere is one that came from far outside. It is ``(h, w, 2)`` float32;
+    ``strips`` as for `repair_feature`.
     """
-    if within(motion, *_RANGES["motion"]):
+    strips = strips or Strips(1)
+    if _all_within(motion, *_RANGES["motion"], strips):
         return motion
-    return np.where(np.abs(motion) <= MAX_MOTION, motion, np.float32(MAX_MOTION))
+    result = np.empty_like(motion)
+
+    def work(rows: slice) -> None:
+        part = motion[rows]
+        result[rows] = np.where(np.abs(part) <= MAX_MOTION, part, np.float32(MAX_MOTION))
+
+    strips.run(work, *motion.shape[:2])
+    return result
+
+
+def _all_within(array: np.ndarray, low: float, high: float, strips: Strips) -> bool:
+    """`within` of a whole frame."""
+    return all(strips.run(lambda rows: within(array[rows], low, high), *array.shape[:2]))
 
 
 def within(array: np.ndarray, low: float, high: float) -> bool:
@@ -136,7 +180,7 @@ def within(array: np.ndarray, low: float, high: float) -> bool:
     return bool(array.min() >= low and array.max() <= high)
 
 
-def fill(color: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def fill(color: np.ndarray, valid: np.ndarray, strips: Strips | None = None) -> np.ndarray:
     """Mean of the valid pixels in the smallest window of 3, 5, 9, ... pixels that has any.
 
     Parameters
@@ -144,22 +188,71 @@ def fill(color: np.ndarray, valid: np.ndarray) -> np.ndarray:
     color : (h, w, 3) float32
         0 where it is not valid. Not changed.
     valid : (h, w) bool
+    strips
+        Where the work runs; None for the caller's thread.
 
     Returns
     -------
     (h, w, 3) float32
     """
-    result = color.copy()
+    strips = strips or Strips(1)
+    result, weight = np.empty_like(color), np.empty(valid.shape, np.float32)
     missing = ~valid
-    weight = valid.astype(np.float32)
-    reach = 1
-    while missing.any() and reach < 2 * max(valid.shape) and valid.any():
-        # a mean of values up to MAX_RADIANCE: normalised kernels keep the sum in range
-        kernel = np.full(2 * reach + 1, 1 / (2 * reach + 1), np.float32)
-        near = cv2.sepFilter2D(weight, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
-        total = cv2.sepFilter2D(color, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
-        now = missing & (near > 0)
-        result[now] = total[now] / near[now, None]
-        missing &= ~now
+
+    def begin(rows: slice) -> None:
+        result[rows], weight[rows] = color[rows], valid[rows]
+
+    strips.run(begin, *valid.shape)
+    reach, anywhere = 1, valid.any()
+    while missing.any() and reach < 2 * max(valid.shape) and anywhere:
+        _fill_from(reach, (weight, color), missing, result, strips)
         reach *= 2
     return result
+
+
+def _fill_from(
+    reach: int,
+    given: tuple[np.ndarray, np.ndarray],
+    missing: np.ndarray,
+    result: np.ndarray,
+    strips: Strips,
+) -> None:
+    """Fill what is missing from windows of one size, where those have a valid pixel.
+
+    Parameters
+    ----------
+    reach
+        Of the windows, pixels to each side.
+    given
+        What pixels weigh, and their color.
+    missing, result
+        Changed.
+    """
+    # a mean of values up to MAX_RADIANCE: normalised kernels keep the sum in range
+    kernel = np.full(2 * reach + 1, 1 / (2 * reach + 1), np.float32)
+    height, width = missing.shape
+    lines = np.flatnonzero(missing.any(axis=1))
+    top, bottom = int(lines[0]), int(lines[-1]) + 1
+    near, _ = with_halo(slice(top, bottom), reach, height)
+    pixels = max(STRIP_PIXELS * _FEW_TAPS // max(len(kernel), _FEW_TAPS), 1)
+    along = [np.empty_like(image[near]) for image in given]
+
+    def by_row(rows: slice) -> None:
+        for image, target in zip(given, along, strict=True):
+            target[rows] = _filtered(image[near][rows], kernel, _ONE)
+
+    def by_column(rows: slice) -> None:
+        own = slice(top + rows.start, top + rows.stop)
+        around, inside = with_halo(own, reach, height)
+        around = slice(around.start - near.start, around.stop - near.start)
+        share, total = (_filtered(image[around], _ONE, kernel)[inside] for image in along)
+        now = missing[own] & (share > 0)
+        result[own][now] = total[now] / share[now, None]
+        missing[own] &= ~now
+
+    strips.run(by_row, near.stop - near.start, width, pixels=pixels)
+    strips.run(by_column, bottom - top, width, pixels=pixels)
+
+
+def _filtered(image: np.ndarray, across: np.ndarray, down: np.ndarray) -> np.ndarray:
+    return cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_CONSTANT)

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.resample import double, halve
-from stillray.arrays.strips import Strips, with_halo
+from stillray.arrays.strips import STRIP_PIXELS, Strips, with_halo
 from stillray.model_spec.loader import Demodulate
 from stillray.stages import features as encode
 
@@ -230,10 +230,8 @@ def virtual_motion(
     if camera is None:
         return motion
     left, top, wide, high = cv2.boundingRect(shows)
-    # toned before they are averaged: a window's frame would drown in the light beside it
-    before = halve(encode.tone_map(encode.luminance(past)[even], exposure))
-    here = halve(encode.tone_map(now[even], exposure))
-    result = motion.copy()
+    before, here = _half_size(past, now, exposure, strips)
+    result = _copy(motion, strips)
 
     def work(rows: slice) -> bool:
         rows = slice(top + rows.start, top + rows.stop)
@@ -259,6 +257,33 @@ def virtual_motion(
         return True
 
     return result if any(strips.run(work, high, wide)) else motion
+
+
+def _half_size(
+    past: np.ndarray, now: np.ndarray, exposure: float, strips: Strips
+) -> tuple[np.ndarray, np.ndarray]:
+    """Luminance of the past and of what there is now, tone-mapped, at half the resolution."""
+    half = tuple(size // 2 for size in now.shape)
+    before, here = np.empty(half, np.float32), np.empty(half, np.float32)
+
+    def work(blocks: slice) -> None:
+        rows = slice(2 * blocks.start, 2 * blocks.stop)
+        # toned before they are averaged: a window's frame would drown in the light beside it
+        for light, target in ((encode.luminance(past[rows]), before), (now[rows], here)):
+            target[blocks] = halve(encode.tone_map(light[:, : 2 * half[1]], exposure))
+
+    strips.run(work, *half, pixels=STRIP_PIXELS // 4)
+    return before, here
+
+
+def _copy(motion: np.ndarray, strips: Strips) -> np.ndarray:
+    copy = np.empty_like(motion)
+
+    def work(rows: slice) -> None:
+        copy[rows] = motion[rows]
+
+    strips.run(work, *motion.shape[:2])
+    return copy
 
 
 def _search(

@@ -294,7 +294,7 @@ def test_history_is_rejected_where_light_changed(size):
             planes(shown), planes(weight), torch.from_numpy(past)[None], scalar(0.5 + step)
         )
         np.testing.assert_allclose(got[0], blocks, rtol=1e-5, atol=3e-5)
-        wanted, noise = history_rejection.confidence(blocks, noise, motion, 0.5 + step)
+        wanted, noise = history_rejection.confidence(blocks, noise, motion, 0.5 + step, Strips(1))
         found, got_noise = rejection.confidence(
             torch.from_numpy(blocks)[None], got_noise, planes(motion), scalar(0.5 + step)
         )
