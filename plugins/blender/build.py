@@ -21,7 +21,7 @@ HERE = Path(__file__).resolve().parent
 SOURCE = HERE / "stillray_blender"
 NEEDED = (
     "onnxruntime",
-    "opencv-contrib-python-headless",
+    "opencv-python-headless",
     "flatbuffers",
     "protobuf",
     "packaging",

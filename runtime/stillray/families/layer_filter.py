@@ -197,7 +197,7 @@ class FilteredLayers:
             np.divide(after, before, out=found, where=before > 0)
             found[np.abs(found - 1) < _ROUNDING] = 1
 
-        self._strips.run(work, *factor.shape)
+        self._strips.run(work, *color.shape[:2])
         return factor
 
     @cached_property

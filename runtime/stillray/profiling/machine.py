@@ -10,7 +10,8 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib import import_module
+from importlib.metadata import packages_distributions, version
 from pathlib import Path
 
 from stillray.arrays.strips import available_threads
@@ -23,7 +24,8 @@ _BLAS_THREADS = (
     "VECLIB_MAXIMUM_THREADS",
     "OMP_NUM_THREADS",
 )
-_LIBRARIES = ("numpy", "onnxruntime", "opencv-contrib-python-headless", "OpenImageIO")
+#: Modules, whoever brings them: OpenCV and ONNX Runtime come in several distributions.
+_LIBRARIES = ("numpy", "onnxruntime", "cv2", "OpenImageIO")
 _SIDE = 2048  # of the matrices
 _COPIED = 1 << 26  # float32 values, 256 MiB: beyond every cache
 _TRIES = 5
@@ -54,7 +56,7 @@ def describe() -> dict[str, str]:
         "system": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
         "stillray": version("stillray"),
-        **{name: version(name) for name in _LIBRARIES},
+        **_versions(),
     }
 
 
@@ -97,6 +99,18 @@ def available_memory() -> float:
     if not info.is_file():
         return float("inf")
     return float(info.read_text().split("MemAvailable:")[1].split()[0]) / 1024
+
+
+def _versions() -> dict[str, str]:
+    """Versions of the libraries by the distributions that bring them, or by the modules' names."""
+    owners = packages_distributions()
+    found = {}
+    for module in _LIBRARIES:
+        for name in sorted(set(owners.get(module, ()))):
+            found[name] = version(name)
+        if module not in owners:  # built from source, or a system's own
+            found[module] = str(getattr(import_module(module), "__version__", "unknown"))
+    return found
 
 
 def _processor() -> str:

@@ -54,6 +54,7 @@ def expose(plan: TemporalPlan, means: Means) -> Exposed:
             exposure = features.steady_exposure(own, plan.past.exposure, means.spec.transfer)
         local_luminance(luminance, exposure, local, means)
         depth_unit = 1.0 if depth is None else features.depth_scale(depth)
+        means.strips.watch.look()
     return Exposed(
         demodulation_albedo=by,
         luminance=luminance,

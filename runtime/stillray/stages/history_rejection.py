@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from stillray.arrays.strips import Strips
+from stillray.arrays.strips import Strips, with_halo
 from stillray.arrays.workspace import Workspace
 from stillray.stages.accumulate import DARK, MIN_WEIGHT
 from stillray.stages.features import luminance_of_planes
@@ -194,8 +194,7 @@ def confidence(
     kept = _confidence_of_blocks(blocks, bias, window, at_level, strips)
     if kept is None:
         return None, noise
-    look()
-    return _doubled(kept, motion.shape[:2]), noise
+    return _by_pixel(kept, motion.shape[:2], strips), noise
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -278,6 +277,22 @@ def _doubled(plane: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         return plane
     size = (2 * plane.shape[1], 2 * plane.shape[0])
     return cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]]
+
+
+def _by_pixel(kept: np.ndarray, shape: tuple[int, ...], strips: Strips) -> np.ndarray:
+    """`_doubled` of a whole frame."""
+    result = np.empty(shape, np.float32)
+
+    def work(blocks: slice) -> None:
+        near, own = with_halo(blocks, 1, len(kept))
+        rows = slice(2 * blocks.start, min(2 * blocks.stop, shape[0]))
+        top = 2 * own.start
+        size = (2 * kept.shape[1], 2 * (near.stop - near.start))
+        doubled = cv2.resize(kept[near], size, interpolation=cv2.INTER_LINEAR)
+        result[rows] = doubled[top : top + rows.stop - rows.start, : shape[1]]
+
+    strips.run(work, *kept.shape)
+    return result
 
 
 def _at_level(variance: np.ndarray, own: int, level: int, shape: tuple[int, ...]) -> np.ndarray:

@@ -61,12 +61,12 @@ def _bmfr() -> PeerDenoiser:
 PEERS = (
     Peer(
         name="svgf", label="SVGF", remembers=True, module="cv2",
-        package="opencv-contrib-python-headless", make=_svgf,
+        package="opencv-python-headless", make=_svgf,
     ),
     # its filter alone, as weight-sharing kernels and bilateral grids are filters alone
     Peer(
         name="svgf-alone", label="SVGF without TAA", remembers=True, module="cv2",
-        package="opencv-contrib-python-headless", make=_svgf_alone,
+        package="opencv-python-headless", make=_svgf_alone,
     ),
     Peer(
         name="bmfr", label="BMFR", remembers=True, module="scipy", package="scipy", make=_bmfr,
