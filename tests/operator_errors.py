@@ -288,7 +288,7 @@ def _fuse(given: Inputs) -> float:
     """A block's branches, fused into one convolution in float32, beside the branches in float64."""
     import torch
 
-    from stillray_export.fuse import fuse
+    from stillray_training.networks.fuse import fuse
     from stillray_training.networks.repvgg import RepVGGBlock, by_branches
 
     block = RepVGGBlock(4, 4, (3, 1), identity=True, activation=True)

@@ -22,12 +22,18 @@ from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec
 from stillray.models.registry import WHOLE_SUFFIX, require_fit
 from stillray.models.session import checked
-from stillray_export import to_onnx
-from stillray_export.fuse import fuse
 from stillray_export.parity import IMAGE_TOLERANCE, NETWORK_TOLERANCE, SIZES, ParityError
 from stillray_training.decoders import feature_filters as twin
+from stillray_training.networks.fuse import fuse
 from stillray_training.networks.multi_branch import multi_branch_net
 from stillray_training.networks.repvgg import by_branches
+from stillray_training.onnx_graph import (
+    axes_of,
+    example_features,
+    metadata_of,
+    network_graph,
+    to_model,
+)
 
 #: What the whole graph takes beside the features, and its planes; and what it gives.
 FRAME = {"color": 3, "albedo": 3, "specular": 3}
@@ -57,7 +63,7 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
         **provenance,
         "parameters": sum(parameter.numel() for parameter in fused.parameters()),
     }
-    alone = to_onnx.network_graph(fused, spec, provenance).SerializeToString()
+    alone = network_graph(fused, spec, provenance).SerializeToString()
     whole = whole_graph(fused, spec, provenance)
     require_fit(checked(alone, spec.name)[1], spec, spec.name)
     check(network, fused, alone, whole, spec)
@@ -70,17 +76,17 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
 
 def whole_graph(fused: nn.Module, spec: ModelSpec, provenance: dict[str, Any]) -> bytes:
     """The serialised graph of network and reconstruction."""
-    features = to_onnx.example_features(spec)
+    features = example_features(spec)
     planes = {**FRAME, **PAST}
     arrays = [torch.ones(1, count, *features.shape[2:]) for count in planes.values()]
-    axes = to_onnx.axes_of(spec)
-    return to_onnx.to_model(
+    axes = axes_of(spec)
+    return to_model(
         WholeUpscale(fused, spec).eval(),
         (features, *arrays),
         ["features", *planes],
         list(RESULTS),
         (axes, tuple(axes for _ in arrays)),
-        to_onnx.metadata_of(spec, provenance),
+        metadata_of(spec, provenance),
     ).SerializeToString()
 
 

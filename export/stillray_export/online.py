@@ -28,9 +28,9 @@ from stillray.model_spec.loader import FilterNetwork
 from stillray.model_spec.network_weights import network_weights
 from stillray.models.registry import UNLISTED, require_fit
 from stillray.models.session import checked
-from stillray_export.to_onnx import metadata_of, to_model
 from stillray_training.networks.filter_parameters import Shapes, filter_parameters, split, start
 from stillray_training.online.step import LOSS_EPSILON, Learning, train_step
+from stillray_training.onnx_graph import metadata_of, to_model
 
 OPSET = 18
 STEP_NAME = "cross-regression.onnx"

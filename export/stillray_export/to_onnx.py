@@ -8,36 +8,38 @@ neither is written unless `stillray_export.parity` finds that all forms agree.
 
 from __future__ import annotations
 
-import json
 import tempfile
 from pathlib import Path
 from typing import Annotated, Any
 
-import onnx
 import torch
 import typer
+from safetensors import safe_open
 from torch import Tensor, nn
 
 from stillray.cli import program
 from stillray.errors import InputError
-from stillray.families.feature_filters import alignment
-from stillray.families.registry import kernels_of
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec, from_json
-from stillray.model_spec.loader import FeatureFilters
-from stillray.models.registry import PROVENANCE_KEY, SPEC_KEY, WHOLE_SUFFIX, find_model, require_fit
+from stillray.models.registry import WHOLE_SUFFIX, find_model, require_fit
 from stillray.models.session import checked
-from stillray_export import parity
-from stillray_export.fuse import fuse
+from stillray_export import feature_filters, parity
+from stillray_export.frame_graph.export import write
+from stillray_training.checkpoint import CHECKPOINT, load_network
 from stillray_training.decoders.boxes import pooled_box_mean
 from stillray_training.evaluate.cases import find_cases
 from stillray_training.evaluate.scores import evaluate_cases, mean_scores
-from stillray_training.families import FAMILIES
+from stillray_training.families import FAMILIES, RECURRENT
+from stillray_training.networks.fuse import fuse
+from stillray_training.onnx_graph import (
+    EXAMPLE,
+    axes_of,
+    example_features,
+    metadata_of,
+    network_graph,
+    to_model,
+)
 from stillray_training.provenance import collect
-from stillray_training.train import CHECKPOINT, load_network
-
-OPSET = 18
-_EXAMPLE = (32, 48)  # height and width of the example inputs, pixels: multiples for any family
 
 
 class WholeDenoise(nn.Module):
@@ -53,26 +55,6 @@ class WholeDenoise(nn.Module):
         family = FAMILIES[self.spec.family]
         batch = dict(zip(family.inputs, arrays, strict=True))
         return family.decode(self.network(features), batch, self.spec, pooled_box_mean)
-
-
-class BoundedLogits(nn.Module):
-    """A network whose logits are clipped as its decoder would clip them.
-
-    ONNX Runtime does it within the last convolution, for nothing; the runtime's decoders find that
-    it is done and leave it out.
-    """
-
-    def __init__(self, network: nn.Module, bound: float) -> None:
-        super().__init__()
-        self.network = network
-        self.bound = bound
-
-    def forward(self, features: Tensor) -> Tensor | tuple[Tensor, ...]:
-        """``(n, features, h, w)`` to logits, one map or one a level."""
-        outputs = self.network(features)
-        if isinstance(outputs, Tensor):
-            return outputs.clamp(-self.bound, self.bound)
-        return tuple(level.clamp(-self.bound, self.bound) for level in outputs)
 
 
 def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out: Path) -> Path:
@@ -102,11 +84,9 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
         The network is not what its specification describes, or is made of operators that the
         runtime does not take (`stillray.models.network_graph`): nothing is written.
     """
-    if isinstance(spec.decoder, FeatureFilters):
+    if spec.family in RECURRENT:
         # its decoder takes and gives a past, and is checked otherwise
-        from stillray_export.feature_filters import export as export_upscaling
-
-        return export_upscaling(network, spec, provenance, out)
+        return feature_filters.export(network, spec, provenance, out)
     fused = fuse(network)
     provenance = {
         **provenance,
@@ -114,7 +94,7 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
     }
     alone = network_graph(fused, spec, provenance)
     family = FAMILIES[spec.family]
-    arrays = [torch.ones(1, parity.CHANNELS[name], *_EXAMPLE) for name in family.inputs]
+    arrays = [torch.ones(1, parity.CHANNELS[name], *EXAMPLE) for name in family.inputs]
     axes = axes_of(spec)
     whole = to_model(
         WholeDenoise(fused, spec).eval(),
@@ -132,73 +112,6 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
         with atomic_path(target) as temporary:
             temporary.write_bytes(model.SerializeToString())
     return path
-
-
-def network_graph(fused: nn.Module, spec: ModelSpec, provenance: dict[str, Any]) -> onnx.ModelProto:
-    """The graph of a fused network alone, which `stillray.Denoiser` runs."""
-    with torch.no_grad():
-        given = fused(example_features(spec))
-    names = ["logits"] if isinstance(given, Tensor) else [f"logits_{i}" for i in range(len(given))]
-    bound: float | None = getattr(spec.decoder, "logit_bound", None)
-    return to_model(
-        fused if bound is None else BoundedLogits(fused, bound).eval(),
-        (example_features(spec),),
-        ["features"],
-        names,
-        (axes_of(spec),),
-        metadata_of(spec, {"parameters": 0, **provenance}),
-    )
-
-
-def example_features(spec: ModelSpec) -> Tensor:
-    """Features of a small frame, to trace a network with."""
-    return torch.zeros(1, len(spec.network.features), *_EXAMPLE)
-
-
-def axes_of(spec: ModelSpec) -> dict[int, Any]:
-    """Height and width of a graph's inputs, free but for what they must be multiples of."""
-    upscales = isinstance(spec.decoder, FeatureFilters)
-    multiple = alignment(spec) if upscales else kernels_of(spec).looks.alignment
-    height, width = (torch.export.Dim(name, min=1) for name in ("height", "width"))
-    # sizes are whole pixels of the coarsest level
-    return {2: height, 3: width} if multiple == 1 else {2: multiple * height, 3: multiple * width}
-
-
-def metadata_of(spec: ModelSpec, provenance: dict[str, Any]) -> dict[str, str]:
-    """What a file carries beside its graph."""
-    return {SPEC_KEY: spec.to_json(), PROVENANCE_KEY: json.dumps(provenance, sort_keys=True)}
-
-
-def to_model(
-    module: nn.Module,
-    example: tuple[Tensor, ...],
-    inputs: list[str],
-    outputs: list[str],
-    axes: tuple[Any, ...],
-    metadata: dict[str, str],
-) -> onnx.ModelProto:
-    """Export with dynamic height and width, check, and attach metadata."""
-    with torch.no_grad():
-        program = torch.onnx.export(
-            module,
-            example,
-            input_names=inputs,
-            output_names=outputs,
-            opset_version=OPSET,
-            dynamo=True,
-            dynamic_shapes=axes,
-            verbose=False,
-        )
-    assert program is not None
-    model = program.model_proto
-    del model.metadata_props[:]
-    for node in model.graph.node:  # the exporter notes paths of this machine in every node
-        del node.metadata_props[:]
-        node.doc_string = ""
-    onnx.helper.set_model_props(model, metadata)
-    model.producer_name = "stillray"
-    onnx.checker.check_model(model, full_check=True)
-    return model
 
 
 def main(
@@ -221,13 +134,9 @@ def main(
 ) -> None:
     """Export a trained run, or all stages of a model as one graph a frame."""
     if frame_graph:
-        from stillray_export.frame_graph.export import write
-
         print(write(find_model(str(run)), out or Path()))
         return
     out = out or Path("runtime/stillray/models")
-    from safetensors import safe_open
-
     checkpoint = run / CHECKPOINT
     if not checkpoint.is_file():
         raise InputError(f"run must be a training folder with {CHECKPOINT}, got {run}")

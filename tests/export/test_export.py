@@ -12,8 +12,8 @@ from stillray.model_spec import load  # noqa: E402
 from stillray.models.registry import WHOLE_SUFFIX, find_model, list_models, read_model  # noqa: E402
 from stillray.models.session import open_session  # noqa: E402
 from stillray_export import parity, to_onnx  # noqa: E402
-from stillray_export.fuse import fuse  # noqa: E402
 from stillray_training.families import FAMILIES  # noqa: E402
+from stillray_training.networks.fuse import fuse  # noqa: E402
 
 
 @pytest.fixture(scope="module", params=["wskp-3", "kpyr-5", "kpyr-5s", "nbg-2x3", "wskp-mr"])

@@ -14,8 +14,8 @@ import stillray  # noqa: E402
 from stillray.io.exr.read_write import read_exr, write_channels  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray_export import feature_filters, to_onnx  # noqa: E402
-from stillray_export.fuse import fuse  # noqa: E402
 from stillray_export.parity import ParityError  # noqa: E402
+from stillray_training.networks.fuse import fuse  # noqa: E402
 from stillray_training.networks.multi_branch import multi_branch_net  # noqa: E402
 
 

@@ -23,9 +23,9 @@ from stillray_training.ablation import __main__ as command  # noqa: E402
 from stillray_training.ablation import claims, measure, results, variants  # noqa: E402
 from stillray_training.ablation.page import write_page  # noqa: E402
 from stillray_training.ablation.study import folder_of  # noqa: E402
+from stillray_training.checkpoint import CHECKPOINT  # noqa: E402
 from stillray_training.peers.kernel_prediction import KernelPredictionNet  # noqa: E402
 from stillray_training.peers.kernel_predictor import KernelPredictor  # noqa: E402
-from stillray_training.train import CHECKPOINT  # noqa: E402
 from tests.conftest import make_frame  # noqa: E402
 
 DATA = Path(__file__).parents[1] / "data"

@@ -8,9 +8,9 @@ torch = pytest.importorskip("torch")
 from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.families import bilateral_grid as grid  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
-from stillray_export.fuse import fuse  # noqa: E402
 from stillray_training.decoders.bilateral_grids import Tent, bilateral_grids  # noqa: E402
 from stillray_training.families import FAMILIES  # noqa: E402
+from stillray_training.networks.fuse import fuse  # noqa: E402
 from stillray_training.networks.guide import GuideNet  # noqa: E402
 from tests import oracles  # noqa: E402
 from tests.families.test_bilateral_grid import ROUNDING, draw  # noqa: E402

@@ -8,10 +8,10 @@ torch = pytest.importorskip("torch")
 
 from stillray.errors import InputError  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
+from stillray_training.checkpoint import CHECKPOINT, load_network, save  # noqa: E402
 from stillray_training.families import FAMILIES  # noqa: E402
 from stillray_training.mean_weights import mean_weights  # noqa: E402
 from stillray_training.start import STARTED_FROM, read_start  # noqa: E402
-from stillray_training.train import CHECKPOINT, load_network, save  # noqa: E402
 
 
 @pytest.fixture

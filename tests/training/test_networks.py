@@ -8,11 +8,14 @@ torch = pytest.importorskip("torch")
 
 from stillray.families import pyramid_logits as pyramid_layout  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
-from stillray_export.fuse import fuse  # noqa: E402
 from stillray_training.families import FAMILIES  # noqa: E402
+from stillray_training.networks.fuse import fuse  # noqa: E402
 from stillray_training.networks.importance import ImportanceNet  # noqa: E402
-from stillray_training.networks.repvgg import RepVGGBlock, by_branches  # noqa: E402
-from stillray_training.train import without_branches  # noqa: E402
+from stillray_training.networks.repvgg import (  # noqa: E402
+    RepVGGBlock,
+    by_branches,
+    without_branches,
+)
 
 
 @pytest.mark.parametrize(("width_in", "width_out"), [(5, 5), (5, 8)])

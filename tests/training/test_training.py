@@ -15,7 +15,8 @@ from stillray.errors import InputError  # noqa: E402
 from stillray.io.exr.read_write import read_exr, write_channels  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray.models.registry import list_models  # noqa: E402
-from stillray_training import provenance, train  # noqa: E402
+from stillray_training import patch_training, provenance, train  # noqa: E402
+from stillray_training.checkpoint import CHECKPOINT  # noqa: E402
 from stillray_training.dataset import (  # noqa: E402
     NOISY,
     QUIET,
@@ -25,12 +26,14 @@ from stillray_training.dataset import (  # noqa: E402
     find_sequences,
     load_examples,
 )
+from stillray_training.families import FAMILIES  # noqa: E402
 from stillray_training.losses import (  # noqa: E402
     blur_error,
     displayed,
     dissimilarity,
     slope_error,
 )
+from stillray_training.networks.repvgg import without_branches  # noqa: E402
 from stillray_training.simulate.sequence import write  # noqa: E402
 from stillray_training.start import STARTED_FROM, start_from  # noqa: E402
 from stillray_training.targets import make_target, read_target  # noqa: E402
@@ -169,16 +172,16 @@ def one_thread():
 
 
 def test_training_lowers_the_loss_and_resumes_where_it_stopped(data, small, tmp_path, one_thread):
-    whole = train.train(small, [data], tmp_path / "whole", save_every=10)
+    whole = patch_training.train(small, [data], tmp_path / "whole", save_every=10)
     half = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=20))
     # the learning rate follows the recipe's length: keep it, stop early
-    original = train.learning_rate
+    original = patch_training.learning_rate
     try:
-        train.learning_rate = lambda step, _: original(step, small)
-        train.train(half, [data], tmp_path / "parts", save_every=10)
-        resumed = train.train(small, [data], tmp_path / "parts", save_every=10)
+        patch_training.learning_rate = lambda step, _: original(step, small)
+        patch_training.train(half, [data], tmp_path / "parts", save_every=10)
+        resumed = patch_training.train(small, [data], tmp_path / "parts", save_every=10)
     finally:
-        train.learning_rate = original
+        patch_training.learning_rate = original
     for one, other in zip(whole.parameters(), resumed.parameters(), strict=True):
         torch.testing.assert_close(one, other)
     with (tmp_path / "parts" / "log.csv").open() as file:
@@ -187,8 +190,8 @@ def test_training_lowers_the_loss_and_resumes_where_it_stopped(data, small, tmp_
     examples = load_examples(find_sequences(data)[0], small, Strips(1))
     batch = PatchSampler(examples, small).batch(999)
     torch.manual_seed(small.training.seed)
-    before = train.reconstruct_loss(train.FAMILIES[small.family].network(small), batch, small)
-    assert train.reconstruct_loss(whole, batch, small) < before
+    before = patch_training.reconstruct_loss(FAMILIES[small.family].network(small), batch, small)
+    assert patch_training.reconstruct_loss(whole, batch, small) < before
 
 
 @pytest.mark.parametrize(
@@ -196,13 +199,13 @@ def test_training_lowers_the_loss_and_resumes_where_it_stopped(data, small, tmp_
     ["display_weight", "squared_weight", "structure_weight", "slope_weight", "blur_weight"],
 )
 def test_a_weight_adds_its_part_of_the_loss(data, small, key):
-    network = train.FAMILIES[small.family].network(small)
+    network = FAMILIES[small.family].network(small)
     batch = PatchSampler(load_examples(find_sequences(data)[0], small, Strips(1)), small).batch(3)
 
     def loss(weight):
         recipe = dataclasses.replace(small.training, **{key: weight})
         spec = dataclasses.replace(small, training=recipe)
-        return float(train.reconstruct_loss(network, batch, spec))
+        return float(patch_training.reconstruct_loss(network, batch, spec))
 
     exposed = torch.from_numpy(batch.exposure)
     outputs = network(torch.from_numpy(batch.features))
@@ -210,7 +213,7 @@ def test_a_weight_adds_its_part_of_the_loss(data, small, key):
         field.name: torch.from_numpy(getattr(batch, field.name))
         for field in dataclasses.fields(batch)
     }
-    shown = displayed(train.FAMILIES[small.family].radiance(outputs, take, small) * exposed)
+    shown = displayed(FAMILIES[small.family].radiance(outputs, take, small) * exposed)
     wanted = displayed(torch.from_numpy(batch.reference) * exposed)
     part = {
         "display_weight": (shown - wanted).abs().mean(),
@@ -229,32 +232,32 @@ def test_a_recurrent_model_learns_from_its_own_previous_outputs(data, tmp_path):
     )
     spec = dataclasses.replace(spec, training=recipe)
     seen = []
-    original = train.PatchSampler.batch
+    original = patch_training.PatchSampler.batch
     try:
-        train.PatchSampler.batch = lambda self, step: (
+        patch_training.PatchSampler.batch = lambda self, step: (
             seen.append(self._examples[1]) or original(self, step)
         )
-        train.train(spec, [data], tmp_path, save_every=4)
+        patch_training.train(spec, [data], tmp_path, save_every=4)
     finally:
-        train.PatchSampler.batch = original
+        patch_training.PatchSampler.batch = original
     valid = [example.previous[..., 3].mean() for example in seen]
     assert valid[0] == valid[1] == 0
     assert valid[2] > 0.9
     # after one renewal of an untrained network, the output is near the accumulated radiance
     assert np.isfinite(seen[3].previous).all()
-    assert (tmp_path / train.PREVIOUS).is_file()
+    assert (tmp_path / patch_training.PREVIOUS).is_file()
 
 
 def test_a_checkpoint_of_another_network_is_refused(data, small, tmp_path):
     short = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=1))
-    train.train(short, [data], tmp_path, save_every=1)
+    patch_training.train(short, [data], tmp_path, save_every=1)
     with pytest.raises(InputError, match="checkpoint must be of wskp-3"):
-        train.train(train.without_branches(short), [data], tmp_path)
+        patch_training.train(without_branches(short), [data], tmp_path)
 
 
 def test_an_empty_data_folder_is_refused(small, tmp_path):
     with pytest.raises(InputError, match="data must hold finished sequences"):
-        train.train(small, [tmp_path], tmp_path / "out")
+        patch_training.train(small, [tmp_path], tmp_path / "out")
 
 
 def credited(folder, name, licence):
@@ -324,7 +327,7 @@ def test_a_sequence_smaller_than_a_patch_is_refused_in_a_line(data):
 
 def test_a_folder_that_is_not_there_is_one_line(small, tmp_path):
     with pytest.raises(InputError, match="data must be a folder of sequences"):
-        train.train(small, [tmp_path / "gone"], tmp_path / "out")
+        patch_training.train(small, [tmp_path / "gone"], tmp_path / "out")
 
 
 def test_another_model_s_weights_are_taken_over_by_the_names_of_features(data, small, tmp_path):
@@ -333,17 +336,17 @@ def test_another_model_s_weights_are_taken_over_by_the_names_of_features(data, s
         network=dataclasses.replace(small.network, identity=False),
         training=dataclasses.replace(small.training, steps=1),
     )
-    first = train.train(short, [data], tmp_path / "first", save_every=1)
+    first = patch_training.train(short, [data], tmp_path / "first", save_every=1)
     names = short.network.features
     turned = dataclasses.replace(
         short,
         network=dataclasses.replace(short.network, features=(*names[:0:-1], "sample.luminance")),
     )
-    second = train.FAMILIES[turned.family].network(turned)
-    origin = start_from(tmp_path / "first" / train.CHECKPOINT, second, turned)
+    second = FAMILIES[turned.family].network(turned)
+    origin = start_from(tmp_path / "first" / CHECKPOINT, second, turned)
     assert origin == {"model": "wskp-3", "steps": 1}
     (tmp_path / "first" / STARTED_FROM).write_text('{"model": "older", "steps": 7}')
-    origin = start_from(tmp_path / "first" / train.CHECKPOINT, second, turned)
+    origin = start_from(tmp_path / "first" / CHECKPOINT, second, turned)
     assert origin["started_from"] == {"model": "older", "steps": 7}
     planes = torch.rand(1, len(names), 10, 6)
     planes[:, 0] = 0  # what the second does not read
@@ -356,8 +359,8 @@ def test_another_model_s_weights_are_taken_over_by_the_names_of_features(data, s
     )
     with pytest.raises(InputError, match="start must read the features of wskp-3 in their order"):
         start_from(
-            tmp_path / "first" / train.CHECKPOINT,
-            train.FAMILIES[mixed.family].network(mixed),
+            tmp_path / "first" / CHECKPOINT,
+            FAMILIES[mixed.family].network(mixed),
             mixed,
         )
 
@@ -369,21 +372,35 @@ def test_a_deeper_guide_net_starts_as_the_shallow_one_and_learns_with_all_its_la
         dataclasses.replace(spec, training=dataclasses.replace(spec.training, steps=1, patch=32))
         for spec in (load("nbg-2x3"), load("nbg-7x3"))
     )
-    first = train.train(shallow, [data], tmp_path / "first", save_every=1)
-    second = train.FAMILIES[deep.family].network(deep)
-    start_from(tmp_path / "first" / train.CHECKPOINT, second, deep)
+    first = patch_training.train(shallow, [data], tmp_path / "first", save_every=1)
+    second = FAMILIES[deep.family].network(deep)
+    start_from(tmp_path / "first" / CHECKPOINT, second, deep)
     planes = torch.rand(1, len(shallow.network.features), 9, 7)
     torch.testing.assert_close(second(planes), first(planes))
     sampler = PatchSampler(load_examples(find_sequences(data)[0], deep, Strips(1)), deep)
-    train.reconstruct_loss(second, sampler.batch(0), deep).backward()
+    patch_training.reconstruct_loss(second, sampler.batch(0), deep).backward()
     added = [weight.grad for name, weight in second.leave.named_parameters() if weight.ndim == 4]
     assert all(gradient[:, deep.network.width :].abs().sum() > 0 for gradient in added)
 
 
 def test_weights_that_do_not_fit_are_refused(data, small, tmp_path):
     short = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=1))
-    train.train(short, [data], tmp_path, save_every=1)
+    patch_training.train(short, [data], tmp_path, save_every=1)
     wide = dataclasses.replace(small, network=dataclasses.replace(small.network, widths=(16, 20)))
-    network = train.FAMILIES[wide.family].network(wide)
+    network = FAMILIES[wide.family].network(wide)
     with pytest.raises(InputError, match=r"start must have weights that fit wskp-3.*blocks"):
-        start_from(tmp_path / train.CHECKPOINT, network, wide)
+        start_from(tmp_path / CHECKPOINT, network, wide)
+
+
+@pytest.mark.parametrize(
+    ("model", "error"),
+    [
+        # single frames, and sequences: each finds that there is nothing to train on
+        ("wskp-3", "data must hold finished sequences"),
+        ("munet-x2", "data must hold finished sequences"),
+        ("online", "got online, which learns as it denoises"),
+    ],
+)
+def test_the_command_trains_every_family_but_the_one_that_learns_by_itself(model, error, tmp_path):
+    with pytest.raises(InputError, match=error):
+        train.main(model, [tmp_path], tmp_path / "run")

@@ -15,11 +15,12 @@ from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
 from stillray.families.feature_filters import rules_of  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
-from stillray_export.fuse import fuse  # noqa: E402
+from stillray_training.checkpoint import load_network  # noqa: E402
+from stillray_training.loss_log import LOG  # noqa: E402
+from stillray_training.networks.fuse import fuse  # noqa: E402
 from stillray_training.networks.multi_branch import MultiBranchBlock, multi_branch_net  # noqa: E402
 from stillray_training.networks.repvgg import by_branches  # noqa: E402
 from stillray_training.simulate.sequence import RECORD, write  # noqa: E402
-from stillray_training.train import LOG, load_network  # noqa: E402
 from stillray_training.upscaling import loop, unroll  # noqa: E402
 from stillray_training.upscaling.clips import ClipSampler, load_clip  # noqa: E402
 

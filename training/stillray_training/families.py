@@ -12,7 +12,6 @@ from torch.nn import functional as F
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import (
     BilateralGrids,
-    FeatureFilters,
     FusedKernels,
     ImportanceNetwork,
     PyramidKernels,
@@ -99,8 +98,7 @@ def _grids(maps: Tensor, batch: Mapping[str, Tensor], spec: ModelSpec, box: BoxF
     return bilateral_grids(batch["irradiance"], batch["samples"], maps, spec.decoder)
 
 
-#: By the name that specifications use. Models that denoise and upscale are recurrent: their
-#: decoder takes and gives a past, see `stillray_training.upscaling`.
+#: By the name that specifications use.
 FAMILIES = {
     "weight-sharing-kernels": Family(
         ImportanceNet, _fused, inputs=("irradiance", "samples"), modulates=False
@@ -130,8 +128,12 @@ FAMILIES = {
 }
 
 
+#: Networks of models that denoise and upscale, whose decoder takes and gives a past: see
+#: `stillray_training.upscaling`.
+RECURRENT: dict[str, Callable[[ModelSpec], nn.Module]] = {"feature-filters": multi_branch_net}
+
+
 def network_of(spec: ModelSpec) -> nn.Module:
     """The network of a specification of any family, untrained."""
-    if isinstance(spec.decoder, FeatureFilters):
-        return multi_branch_net(spec)
-    return FAMILIES[spec.family].network(spec)
+    recurrent = RECURRENT.get(spec.family)
+    return recurrent(spec) if recurrent else FAMILIES[spec.family].network(spec)

@@ -21,9 +21,9 @@ from stillray.cli import program
 from stillray.errors import InputError
 from stillray.io.atomic import atomic_path
 from stillray.model_spec import from_json
+from stillray_training.checkpoint import CHECKPOINT, load_network
 from stillray_training.families import FAMILIES
 from stillray_training.start import STARTED_FROM, start_from
-from stillray_training.train import CHECKPOINT, load_network
 
 
 def mean_weights(run: Path, before: str, share: float, out: Path) -> None:

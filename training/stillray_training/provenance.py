@@ -71,7 +71,7 @@ def collect(run: Path, spec: ModelSpec, steps: int) -> dict[str, Any]:
     ----------
     run
         Holds ``data.json``, ``log.csv`` and perhaps ``assets.json`` and ``started_from.json``, as
-        `stillray_training.train` writes them.
+        a training writes them.
     spec
         The model's specification.
     steps

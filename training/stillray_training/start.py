@@ -108,7 +108,9 @@ def _of_model(source: str | Path) -> Start:
 
 
 def unfuse(network: nn.Module, fused: Mapping[str, Tensor]) -> None:
-    """Fill a network for training with the weights of one that `stillray_export.fuse` made.
+    """Fill a network for training with the weights of one that was fused.
+
+    `stillray_training.networks.fuse` did that.
 
     Parameters
     ----------

@@ -23,14 +23,15 @@ from stillray.models.registry import read_model
 from stillray.pipeline.denoiser import Denoiser
 from stillray.profiling.machine import describe
 from stillray.profiling.synthetic import swing
-from stillray_export.fuse import fuse
-from stillray_export.to_onnx import network_graph
 from stillray_training.ablation.study import folder_of, is_finished
 from stillray_training.ablation.variants import ONE_FRAME, Variant
+from stillray_training.checkpoint import CHECKPOINT, load_network
 from stillray_training.evaluate.cases import find_scenes, last_referenced
 from stillray_training.evaluate.methods import run_stream
+from stillray_training.loss_log import LOG
+from stillray_training.networks.fuse import fuse
+from stillray_training.onnx_graph import network_graph
 from stillray_training.peers.kernel_predictor import KernelPredictor
-from stillray_training.train import CHECKPOINT, LOG, load_network
 
 METRICS = ("psnr", "ssim", "smape", "flip")
 SCORES = "scores.json"

@@ -12,7 +12,8 @@ from safetensors import safe_open
 
 from stillray.errors import InputError
 from stillray_training.ablation.variants import Variant
-from stillray_training.train import CHECKPOINT, load_all, train
+from stillray_training.checkpoint import CHECKPOINT
+from stillray_training.patch_training import load_all, train
 
 
 def folder_of(variant: Variant, out: Path) -> Path:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from stillray.model_spec import ModelSpec, load
 from stillray.model_spec.loader import FusedKernels, ImportanceNetwork, PyramidNetwork
 from stillray_training.families import FAMILIES, Family
+from stillray_training.networks.repvgg import without_branches
 from stillray_training.peers import kernel_prediction, multi_resolution_prediction
-from stillray_training.train import without_branches
 
 BASE = "wskp-6"
 MULTI_RESOLUTION = "wskp-mr"

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
+
+from stillray.errors import InputError
+from stillray.model_spec import ModelSpec
 
 
 class RepVGGBlock(nn.Module):
@@ -81,7 +86,8 @@ class RepVGGBlock(nn.Module):
         Parameters
         ----------
         weight, bias
-            As `stillray_export.fuse` writes them: over squares of pixels, a kernel over pixels.
+            As `stillray_training.networks.fuse` writes them: over squares of pixels, a kernel
+            over pixels.
         """
         weight = F.pixel_unshuffle(weight, self.block)
         for parameter in self.convolutions.parameters():
@@ -117,3 +123,12 @@ def by_branches(network: nn.Module) -> Iterator[None]:
     finally:
         for block in blocks:
             block.merged = True
+
+
+def without_branches(spec: ModelSpec) -> ModelSpec:
+    """The same model as plain convolutions: Fan et al. 2021, table 5, "without RepVGG"."""
+    network: Any = spec.network
+    if not hasattr(network, "branches"):
+        raise InputError(f"model must have branches to go without, got {spec.name}")
+    network = dataclasses.replace(network, branches=(max(network.branches),), identity=False)
+    return dataclasses.replace(spec, network=network)

@@ -26,26 +26,18 @@ from stillray.errors import InputError
 from stillray.families.feature_filters import rules_of
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import Training
+from stillray_training.checkpoint import CHECKPOINT, restore, save
 from stillray_training.dataset import find_sequences
 from stillray_training.decoders.feature_filters import Remembered
+from stillray_training.loss_log import LOG, LOG_EVERY, forget_after, log_loss
 from stillray_training.losses import displayed, dissimilarity, per_patch, smape
 from stillray_training.networks.multi_branch import multi_branch_net
 from stillray_training.provenance import ASSETS, assets_of
-from stillray_training.train import (
-    CHECKPOINT,
-    LOG,
-    follow,
-    forget_after,
-    learning_rate,
-    log_loss,
-    restore,
-    save,
-)
+from stillray_training.schedule import follow, learning_rate
 from stillray_training.upscaling.clips import Clip, ClipSampler, Sample, load_clip
 from stillray_training.upscaling.unroll import step as unrolled_step
 from stillray_training.upscaling.unroll import warped
 
-_LOG_EVERY = 20  # steps
 _MOST_GRADIENT = 1.0  # norm: recurrences have steep walls
 
 
@@ -180,7 +172,7 @@ def train_recurrent(
             losses.append(loss.item())
             step += 1
             progress.advance(task)
-            if step % _LOG_EVERY == 0:
+            if step % LOG_EVERY == 0:
                 log_loss(out / LOG, step, float(np.mean(losses)), time.monotonic() - began)
                 losses = []
             if step % save_every == 0 or step == recipe.steps:
