@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from stillray.model_spec import loader
+
 ROOT = Path(__file__).parents[1]
 #: Packages from the ground up, and their folders.
 PACKAGES = {"stillray": "runtime", "stillray_training": "training", "stillray_export": "export"}
@@ -125,6 +127,45 @@ def test_a_circle_is_found_even_in_a_function():
     texts["stillray_training.schedule"] += "\ndef f():\n    import stillray_training.train\n"
     with pytest.raises(CycleError, match=r"stillray_training\.schedule"):
         require_no_circle(texts)
+
+
+#: Options of specifications, of which a family has its own.
+OPTIONS = {
+    kind.__name__
+    for family in loader.FAMILIES.values()
+    for kind in (family.network, family.decoder)
+}
+CONSTRUCTORS = ("__init__", "__post_init__")
+
+
+def asks_for_options(function: ast.FunctionDef) -> bool:
+    """Whether a function looks which options it was given."""
+    for node in ast.walk(function):
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "isinstance":
+            kinds = {name.id for name in ast.walk(node.args[1]) if isinstance(name, ast.Name)}
+            if kinds & OPTIONS:
+                return True
+    return False
+
+
+def narrowed(texts: dict[str, str]) -> list[str]:
+    """Functions but constructors that look which options they were given."""
+    return [
+        name
+        for module, text in sorted(texts.items())
+        for name, function in functions(module, text).items()
+        if name.split(".")[-1] not in CONSTRUCTORS and asks_for_options(function)
+    ]
+
+
+def test_specifications_are_narrowed_in_constructors_only():
+    assert narrowed(sources("stillray", "stillray_export")) == []
+
+
+def test_one_function_that_asks_for_options_is_found():
+    text = "class A:\n    def f(self, s):\n        assert isinstance(s.decoder, A | FusedKernels)\n"
+    assert narrowed({"stillray.x": text}) == ["stillray.x.A.f"]
+    assert narrowed({"stillray.x": text.replace("def f", "def __init__")}) == []
 
 
 MOST_LINES, MOST_PARAMETERS = 60, 6

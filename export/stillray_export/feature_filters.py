@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from stillray.arrays.strips import Strips
 from stillray.families import feature_reconstruction as runtime
-from stillray.families.feature_filters import alignment, rules_of
+from stillray.families.feature_filters import FeatureFiltersModel
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec
 from stillray.models.registry import WHOLE_SUFFIX, require_fit
@@ -47,7 +47,7 @@ class WholeUpscale(nn.Module):
     def __init__(self, network: nn.Module, spec: ModelSpec) -> None:
         super().__init__()
         self.network = network
-        self.rules = rules_of(spec)
+        self.rules = FeatureFiltersModel(spec).rules
 
     def forward(self, features: Tensor, *arrays: Tensor) -> tuple[Tensor, ...]:
         """``(n, features, h, w)`` and the arrays of `FRAME` and `PAST`, to those of `RESULTS`."""
@@ -112,7 +112,7 @@ def check(
     exact.load_state_dict({name: value.double() for name, value in network.state_dict().items()})
     worst: dict[str, float] = {}
     for index, size in enumerate(SIZES):
-        multiple = alignment(spec)
+        multiple = FeatureFiltersModel(spec).alignment
         height, width = (-(-pixels // multiple) * multiple for pixels in size)
         rng = np.random.default_rng(index)
         features = rng.uniform(-1, 1, (1, len(spec.network.features), height, width))
@@ -124,7 +124,7 @@ def check(
         with torch.no_grad():
             forms["fused planes"] = [part.numpy() for part in fused(given)]
         forms["onnx planes"] = sessions[0].run(None, {"features": features})
-        bound = rules_of(spec).filters.logit_bound
+        bound = FeatureFiltersModel(spec).rules.filters.logit_bound
         for name, values in forms.items():
             for value, expected in zip(values, oracle, strict=True):
                 limit = np.clip(expected, -bound, bound) if name == "onnx planes" else expected
@@ -168,7 +168,7 @@ def decoded(
         frame = twin.Enlarged(*(given[name] for name in FRAME))
         past = twin.Remembered(*(given[name] for name in PAST))
         maps = [torch.from_numpy(part).to(kind) for part in planes]
-        image, kept = twin.reconstruct(frame, past, maps, rules_of(spec))
+        image, kept = twin.reconstruct(frame, past, maps, FeatureFiltersModel(spec).rules)
         return [part.numpy() for part in (image, *kept)]
 
     image = {name: np.ascontiguousarray(a[0].transpose(1, 2, 0)) for name, a in arrays.items()}
@@ -177,7 +177,7 @@ def decoded(
         runtime.Enlarged(*(image[name] for name in FRAME)),
         runtime.Past(runtime.Accumulated(light, albedo, specular), output),
         [part[0] for part in planes],
-        rules_of(spec),
+        FeatureFiltersModel(spec).rules,
         Strips(1),
     )
     parts = (found, kept.light, kept.albedo, kept.specular)

@@ -24,7 +24,6 @@ from stillray.families.online import CHECKERED
 from stillray.families.online_learning import CROP
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec, load
-from stillray.model_spec.loader import FilterNetwork
 from stillray.model_spec.network_weights import network_weights
 from stillray.models.registry import UNLISTED, require_fit
 from stillray.models.session import checked
@@ -60,9 +59,10 @@ def layout_of(spec: ModelSpec) -> Shapes:
     InputError
         It is of a family that does not learn while it denoises.
     """
-    if not isinstance(spec.network, FilterNetwork):
+    layout = network_weights(spec)
+    if not layout:
         raise InputError(f"model must be of cross-regression, got {spec.name} of {spec.family}")
-    return network_weights(spec)
+    return layout
 
 
 def network_file(spec: ModelSpec, weights: Tensor, provenance: dict[str, Any]) -> bytes:

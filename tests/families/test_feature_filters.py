@@ -10,7 +10,7 @@ import torch
 
 import stillray
 from stillray.arrays.strips import Strips
-from stillray.families.feature_filters import alignment, rules_of
+from stillray.families.feature_filters import FeatureFiltersModel
 from stillray.families.filter_layout import target_layout
 from stillray.families.target_grid import Grid, dilated
 from stillray.frame import Frame
@@ -162,7 +162,7 @@ def test_training_sees_what_the_runtime_does(rng, denoiser):
 
         with torch.no_grad():
             image, before, _ = unroll.step(
-                tripled, sample, before, spec.network.features, rules_of(spec)
+                tripled, sample, before, spec.network.features, FeatureFiltersModel(spec).rules
             )
         height, width = expected.shape[:2]
         found = image[0, :, :height, :width].permute(1, 2, 0).numpy()
@@ -170,7 +170,7 @@ def test_training_sees_what_the_runtime_does(rng, denoiser):
 
 
 def as_training_does(one, spec, exposure):
-    grid = Grid.of(one.shape, spec.decoder.scale, alignment(spec), one.jitter)
+    grid = Grid.of(one.shape, spec.decoder.scale, FeatureFiltersModel(spec).alignment, one.jitter)
     every = slice(0, grid.full[0])
     positions, inside = grid.past_positions(dilated(one.motion, one.depth, Strips(1)), every)
 

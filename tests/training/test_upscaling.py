@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch")
 
 from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
-from stillray.families.feature_filters import rules_of  # noqa: E402
+from stillray.families.feature_filters import FeatureFiltersModel  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray_training.checkpoint import load_network  # noqa: E402
 from stillray_training.loss_log import LOG  # noqa: E402
@@ -178,7 +178,7 @@ def test_gradients_reach_every_weight_through_the_past(tmp_path):
     # the second picture alone depends on what the first accumulated
     frames = [{k: torch.from_numpy(v) for k, v in sample.items()} for sample in batch]
     frames[0]["color"].requires_grad_()
-    rules, names = rules_of(spec), spec.network.features
+    rules, names = FeatureFiltersModel(spec).rules, spec.network.features
     _, before, _ = unroll.step(network, frames[0], None, names, rules)
     image, _, _ = unroll.step(network, frames[1], before, names, rules)
     (gradient,) = torch.autograd.grad(image.sum(), frames[0]["color"])

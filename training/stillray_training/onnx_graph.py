@@ -13,7 +13,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from stillray.families.feature_filters import alignment
+from stillray.families.feature_filters import FeatureFiltersModel
 from stillray.families.registry import kernels_of
 from stillray.model_spec import ModelSpec
 from stillray.models.registry import PROVENANCE_KEY, SPEC_KEY
@@ -67,7 +67,9 @@ def example_features(spec: ModelSpec) -> Tensor:
 def axes_of(spec: ModelSpec) -> dict[int, Any]:
     """Height and width of a graph's inputs, free but for what they must be multiples of."""
     recurrent = spec.family in RECURRENT
-    multiple = alignment(spec) if recurrent else kernels_of(spec).looks.alignment
+    multiple = (
+        FeatureFiltersModel(spec).alignment if recurrent else kernels_of(spec).looks.alignment
+    )
     height, width = (torch.export.Dim(name, min=1) for name in ("height", "width"))
     # sizes are whole pixels of the coarsest level
     return {2: height, 3: width} if multiple == 1 else {2: multiple * height, 3: multiple * width}

@@ -17,7 +17,6 @@ from stillray.arrays.strips import available_threads
 from stillray.compare import metrics
 from stillray.compare.metrics import METRICS, Metric
 from stillray.io.exr.read_write import read_exr
-from stillray.model_spec.loader import FusedKernels
 from stillray.models.registry import ModelInfo, find_model, with_overrides
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.evaluate.cases import find_scenes, last_referenced
@@ -84,11 +83,10 @@ def model_options(name: str) -> list[Option]:
 
 def _tuned(info: ModelInfo) -> list[tuple[str, ModelInfo]]:
     found = []
-    if isinstance(info.spec.decoder, FusedKernels):
-        most = len(info.spec.decoder.kernel_sizes)
-        for count in dict.fromkeys(round(share * most) for share in _KERNEL_SHARES):
-            if 1 <= count < most:
-                found.append((f"{count} of {most} kernels", with_overrides(info, kernels=count)))
+    most = len(info.spec.decoder.fused_sizes)
+    for count in dict.fromkeys(round(share * most) for share in _KERNEL_SHARES):
+        if 1 <= count < most:
+            found.append((f"{count} of {most} kernels", with_overrides(info, kernels=count)))
     for factor in _HISTORY_FACTORS:
         samples = max(info.spec.temporal.max_samples * factor, 1.0)
         found.append((f"history of {samples:g}", with_overrides(info, max_samples=samples)))

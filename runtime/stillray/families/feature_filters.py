@@ -92,22 +92,6 @@ class _Seen:
     exposure: float
 
 
-def alignment(spec: ModelSpec) -> int:
-    """Height and width of the network's input must be multiples of this, pixels."""
-    assert isinstance(spec.network, BranchNetwork)
-    return 1 << len(spec.network.radiance_widths)
-
-
-def rules_of(spec: ModelSpec) -> Rules:
-    """The numbers that a reconstruction obeys."""
-    assert isinstance(spec.decoder, FeatureFilters)
-    return Rules(
-        filters=spec.decoder,
-        demodulate=spec.demodulate,
-        max_samples=spec.temporal.max_samples,
-    )
-
-
 class FeatureFiltersModel:
     """A model of the family ``feature-filters``.
 
@@ -115,12 +99,25 @@ class FeatureFiltersModel:
     ----------
     spec
         The model's specification.
+
+    Attributes
+    ----------
+    alignment
+        Height and width of the network's input must be multiples of this, pixels.
+    rules
+        The numbers that a reconstruction obeys.
     """
 
     def __init__(self, spec: ModelSpec) -> None:
+        assert isinstance(spec.network, BranchNetwork)
         assert isinstance(spec.decoder, FeatureFilters)
         self.spec, self.scale = spec, spec.decoder.scale
-        self.alignment, self._rules = alignment(spec), rules_of(spec)
+        self.alignment = 1 << len(spec.network.radiance_widths)
+        self.rules = Rules(
+            filters=spec.decoder,
+            demodulate=spec.demodulate,
+            max_samples=spec.temporal.max_samples,
+        )
         self.traits = Traits(
             required=frozenset(spec.inputs.required),
             optional=frozenset(spec.inputs.optional),
@@ -195,7 +192,7 @@ class FeatureFiltersModel:
         with timed(context.timings, "network"):
             outputs = list(context.engine.run("network", {"features": planes}).values())
         with timed(context.timings, "reconstruct"):
-            image, kept = reconstruct(seen.frame, seen.past, outputs, self._rules, context.strips)
+            image, kept = reconstruct(seen.frame, seen.past, outputs, self.rules, context.strips)
             height, width = seen.grid.shape
             image = np.ascontiguousarray(image[:height, :width])
 

@@ -16,7 +16,7 @@ import typing
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from stillray.errors import InputError
 
@@ -82,6 +82,7 @@ class Family:
 
     network: type
     decoder: type
+    most_block: int = 2  # pixels, of the networks that know blocks
 
 
 class SpecError(InputError):
@@ -149,6 +150,7 @@ class ImportanceNetwork:
                 f"got {self.kernel_sizes}"
             )
         _odd("network.kernel_sizes", self.kernel_sizes, _MAX_NETWORK_KERNEL)
+        _features(self.features)
         _branches(max(self.kernel_sizes), self.branches)
         _within("network.block", self.block, 1, 2)
         _each("network.widths", self.widths, 1, _MAX_WIDTH)
@@ -159,8 +161,27 @@ class ImportanceNetwork:
         return own, *(size for size in self.branches if size < own)
 
 
+class Decoder:
+    """What every decoder's options answer."""
+
+    @property
+    def fused_sizes(self) -> tuple[int, ...]:
+        """Sizes of the kernels that it fuses, pixels, of which some can be left out; or none."""
+        return ()
+
+    def with_kernels(self, sizes: tuple[int, ...]) -> Self:
+        """The same with fused kernels of other sizes, pixels.
+
+        Raises
+        ------
+        SpecError
+            It fuses none, or the sizes break their rules.
+        """
+        raise SpecError(f"decoder must fuse kernels, got {type(self).__name__}")
+
+
 @dataclass(frozen=True, kw_only=True)
-class FusedKernels:
+class FusedKernels(Decoder):
     """Fused weight-sharing kernels (Fan et al. 2021, eq. 2 to 5)."""
 
     kernel_sizes: tuple[int, ...]  # pixels, odd, one importance map each
@@ -170,6 +191,13 @@ class FusedKernels:
     def __post_init__(self) -> None:
         _kernels(self.kernel_sizes)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
+
+    @property
+    def fused_sizes(self) -> tuple[int, ...]:
+        return self.kernel_sizes
+
+    def with_kernels(self, sizes: tuple[int, ...]) -> Self:
+        return dataclasses.replace(self, kernel_sizes=sizes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,6 +217,7 @@ class PyramidNetwork:
     identity: bool  # an identity branch where input and output widths agree (training only)
 
     def __post_init__(self) -> None:
+        _features(self.features)
         _branches(self.kernel_size, self.branches)
         _within("network.block", self.block, 1, 2)
         _each("network.widths", self.widths, 1, _MAX_WIDTH)
@@ -214,7 +243,7 @@ class PyramidNetwork:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PyramidKernels:
+class PyramidKernels(Decoder):
     """Weight-sharing kernels at several resolutions, then a resolve with the previous output."""
 
     kernel_sizes: tuple[int, ...]  # pixels of each level, odd, one importance map each
@@ -245,6 +274,7 @@ class GuideNetwork:
     identity: bool  # an identity branch where input and output widths agree (training only)
 
     def __post_init__(self) -> None:
+        _features(self.features)
         _branches(self.kernel_size, self.branches)
         _within("network.width", self.width, 1, _MAX_WIDTH)
         _within("network.dense_layers", self.dense_layers, 0, _MAX_BLOCKS)
@@ -253,7 +283,7 @@ class GuideNetwork:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BilateralGrids:
+class BilateralGrids(Decoder):
     """Bilateral grids at one or several scales (Meng et al. 2020, eq. 8 to 15)."""
 
     grids: int  # one a scale; every scale doubles the rates
@@ -282,7 +312,7 @@ class FilterNetwork:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CrossBilateral:
+class CrossBilateral(Decoder):
     """A cross-bilateral filter that is learned while it runs (Choi et al. 2024, eq. 8 to 13)."""
 
     learning_rate: float  # of Adam, one step a frame, [0, 0.1]
@@ -338,7 +368,7 @@ class BranchNetwork:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FeatureFilters:
+class FeatureFilters(Decoder):
     """Gaussians of feature distances that enlarge, accumulate and denoise (Kazmierczyk et al.
     2025, section 3.4)."""
 
@@ -434,13 +464,15 @@ class ModelSpec:
             _require_name(name)
         for name in self.inputs.required + self.inputs.optional:
             _one_of("inputs", name, BUFFERS)
-        if isinstance(self.network, PyramidNetwork) and isinstance(self.decoder, FusedKernels):
-            _within("network.block", self.network.block, 1, 1)
-        if not self.network.features:
-            raise SpecError("network.features must not be empty")
-        if not isinstance(self.network, BranchNetwork):  # which knows planes of its own
-            for name in self.network.features:
-                _one_of("network.features", name, FEATURES)
+        family = FAMILIES[self.family]
+        for key in ("network", "decoder"):
+            kind = getattr(family, key)
+            if not isinstance(getattr(self, key), kind):
+                raise SpecError(
+                    f"{key} of {self.family} must be {kind.__name__}, "
+                    f"got {type(getattr(self, key)).__name__}"
+                )
+        _within("network.block", getattr(self.network, "block", 1), 1, family.most_block)
         _odd("transfer.local_size", (self.transfer.local_size,), _MAX_LOCAL_SIZE)
         _within("demodulate.floor", self.demodulate.floor, 1e-6, 1)
         _within("demodulate.black", self.demodulate.black, 0, self.demodulate.floor)
@@ -460,7 +492,7 @@ class ModelSpec:
 FAMILIES = {
     "weight-sharing-kernels": Family(ImportanceNetwork, FusedKernels),
     "kernel-pyramid": Family(PyramidNetwork, PyramidKernels),
-    "multi-resolution-kernels": Family(PyramidNetwork, FusedKernels),
+    "multi-resolution-kernels": Family(PyramidNetwork, FusedKernels, most_block=1),
     "bilateral-grids": Family(GuideNetwork, BilateralGrids),
     "cross-regression": Family(FilterNetwork, CrossBilateral),
     "feature-filters": Family(BranchNetwork, FeatureFilters),
@@ -583,6 +615,13 @@ def _odd(key: str, sizes: Iterable[int], most: int) -> None:
 def _kernels(sizes: tuple[int, ...]) -> None:
     _within("the number of decoder.kernel_sizes", len(sizes), 1, _MAX_KERNELS)
     _odd("decoder.kernel_sizes", sizes, _MAX_WINDOW)
+
+
+def _features(names: tuple[str, ...]) -> None:
+    if not names:
+        raise SpecError("network.features must not be empty")
+    for name in names:
+        _one_of("network.features", name, FEATURES)
 
 
 def _branches(kernel_size: int, branches: tuple[int, ...]) -> None:

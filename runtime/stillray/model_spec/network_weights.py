@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from stillray.model_spec.loader import FilterNetwork, ModelSpec
 
@@ -17,9 +18,15 @@ def network_weights(spec: ModelSpec) -> Shapes:
 
     As the inputs of the graph are, after its features.
     """
-    if not isinstance(spec.network, FilterNetwork):
-        return []
-    return weight_shapes(len(spec.network.features), spec.network.widths, PARAMETERS)
+    learned = _LEARNED.get(spec.family)
+    return learned(spec.network) if learned else []
+
+
+def _filter_network(network: FilterNetwork) -> Shapes:
+    return weight_shapes(len(network.features), network.widths, PARAMETERS)
+
+
+_LEARNED: dict[str, Callable[[Any], Shapes]] = {"cross-regression": _filter_network}
 
 
 def weight_shapes(features: int, widths: Sequence[int], parameters: int) -> Shapes:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from stillray.errors import InputError
-from stillray.model_spec.loader import FusedKernels, ModelSpec, SpecError, from_json
+from stillray.model_spec.loader import ModelSpec, SpecError, from_json
 from stillray.model_spec.network_outputs import network_outputs
 from stillray.model_spec.network_weights import network_weights
 from stillray.models.frame_graph import FRAME_SUFFIX
@@ -234,13 +234,12 @@ def with_overrides(
     """
     spec = info.spec
     if kernels is not None:
-        fused = spec.decoder if isinstance(spec.decoder, FusedKernels) else None
-        sizes = fused.kernel_sizes if fused else ()
-        if fused is None or not 1 <= kernels <= len(sizes):
+        sizes = spec.decoder.fused_sizes
+        if not 1 <= kernels <= len(sizes):
             raise InputError(
                 f"kernels must be 1 to the {len(sizes)} that {info.name} fuses, got {kernels}"
             )
-        spec = replace(spec, decoder=replace(fused, kernel_sizes=sizes[:kernels]))
+        spec = replace(spec, decoder=spec.decoder.with_kernels(sizes[:kernels]))
     if max_samples is not None:
         if max_samples < 1:
             raise InputError(f"max_samples must be 1 or more, got {max_samples:g}")

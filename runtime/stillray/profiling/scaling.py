@@ -13,7 +13,7 @@ from stillray.arrays.strips import Strips
 from stillray.errors import InputError
 from stillray.families.fused_kernels import FusedKernelsModel
 from stillray.families.temporal_kernels import filterable
-from stillray.model_spec.loader import FusedKernels, ModelSpec
+from stillray.model_spec.loader import ModelSpec
 from stillray.models.registry import find_model
 from stillray.profiling.clip import DEFAULT_SIZE, open_clip
 from stillray.profiling.machine import available_memory
@@ -246,8 +246,7 @@ def with_kernels(spec: ModelSpec, sizes: tuple[int, ...]) -> ModelSpec:
     """
     if spec.family != "weight-sharing-kernels":
         raise InputError(f"model must be of the weight-sharing kernels, got {spec.name}")
-    assert isinstance(spec.decoder, FusedKernels)
-    return replace(spec, decoder=replace(spec.decoder, kernel_sizes=sizes))
+    return replace(spec, decoder=spec.decoder.with_kernels(sizes))
 
 
 def _size_label() -> str:

@@ -23,7 +23,7 @@ from torch import Tensor, nn
 
 from stillray.arrays.strips import Strips
 from stillray.errors import InputError
-from stillray.families.feature_filters import rules_of
+from stillray.families.feature_filters import FeatureFiltersModel
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import Training
 from stillray_training.checkpoint import CHECKPOINT, restore, save
@@ -57,7 +57,7 @@ def sequence_loss(
     progress
         Part of the training that is done: the temporal term's weight doubles over it.
     """
-    rules, names = rules_of(spec), spec.network.features
+    rules, names = FeatureFiltersModel(spec).rules, spec.network.features
     before: Remembered | None = None
     wanted_before: Tensor | None = None
     total: Tensor | None = None
