@@ -8,8 +8,10 @@ import sys
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
+import typer
 
 import stillray
+from stillray import cli
 from stillray.cli import main
 from stillray.io.exr.read_write import read_exr, read_metadata, write_channels
 
@@ -310,6 +312,24 @@ def test_help_names_the_commands(capsys):
     assert main(["--help"]) == 0
     text = capsys.readouterr().out
     assert all(command in text for command in ("denoise", "info", "models"))
+
+
+@pytest.mark.parametrize("names", [[], ["denoise"], ["tradeoff"]])
+def test_help_alone_is_what_the_parser_prints(names, capsys):
+    assert main([*names, "--help"]) == 0
+    quick = capsys.readouterr().out
+    parser = typer.main.get_command(cli.build_app())
+    parser.main(args=[*names, "--help"], prog_name="stillray", standalone_mode=False)
+    assert quick == capsys.readouterr().out
+
+
+def test_help_loads_what_it_prints_alone():
+    code = (
+        "import sys; from stillray.cli import main; main(['denoise', '--help']); "
+        "print(sorted({'pydantic', 'numpy', 'cv2', 'onnxruntime'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.endswith("\n[]\n")
 
 
 def test_version(capsys):
