@@ -249,3 +249,59 @@ def test_exceptions_are_of_functions_that_need_them():
 )
 def test_a_long_function_is_found(text):
     assert too_much({"stillray.x": text})
+
+
+#: What other libraries name so, though it is for everybody.
+NOT_PRIVATE = {"_exit", "_replace", "_asdict", "_fields"}
+
+
+def is_private(name: object) -> bool:
+    return (
+        isinstance(name, str)
+        and name.startswith("_")
+        and not name.startswith("__")
+        and name[1:].isidentifier()
+        and name not in NOT_PRIVATE
+    )
+
+
+def private_names(text: str) -> list[str]:
+    """Names of others' insides that a test imports, reads or patches; its own classes' aside."""
+    found = []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            parts = [alias.name for alias in node.names] + [getattr(node, "module", None) or ""]
+            found += [part for name in parts for part in name.split(".") if is_private(part)]
+        elif isinstance(node, ast.Attribute) and is_private(node.attr):
+            if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")):
+                found.append(node.attr)
+        elif isinstance(node, ast.Call) and "attr" in ast.unparse(node.func):
+            words = [word.value for word in node.args if isinstance(word, ast.Constant)]
+            found += [word for word in words if is_private(word)]
+    return found
+
+
+def test_tests_look_at_nothing_private():
+    found = {
+        str(path.relative_to(ROOT)): names
+        for path in (ROOT / "tests").rglob("*.py")
+        if (names := private_names(path.read_text(encoding="utf-8")))
+    }
+    assert found == {}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from stillray.frame import _checked",
+        "from stillray import _frame",
+        "import stillray._frame",
+        "denoiser._strips = 1",
+        "made().part._strips",
+        "monkeypatch.setattr(denoiser, '_strips', 1)",
+        "getattr(denoiser, '_strips')",
+    ],
+)
+def test_one_private_name_is_found(line):
+    assert private_names(line)
+    assert not private_names("from __future__ import annotations\nself._a = b.__name__\n_c = 1")

@@ -243,16 +243,16 @@ def try_words() -> None:
     scene.frame_end = 2
     bare = animation(scene, "bare noisy", on=False)
     words = found["words"] = {}
-    words["bare"] = animation(scene, "bare"), sorted(hook._said)
+    words["bare"] = animation(scene, "bare"), sorted(hook.said)
     found["bare"] = worst(by_the_api(bare, temporal=True), FOLDER / "bare")
     bpy.ops.stillray.set_up_passes()
     scene.render.use_motion_blur = True
-    words["blurred"] = animation(scene, "blurred"), sorted(hook._said)
+    words["blurred"] = animation(scene, "blurred"), sorted(hook.said)
     scene.render.use_motion_blur = False
-    noisy, denoise = animation(scene, "noisy", on=False), hook._streams.denoise
-    hook._streams.denoise = None
-    words["broken"] = animation(scene, "broken"), sorted(hook._said)
-    hook._streams.denoise = denoise
+    noisy, denoise = animation(scene, "noisy", on=False), hook.streams.denoise
+    hook.streams.denoise = None
+    words["broken"] = animation(scene, "broken"), sorted(hook.said)
+    hook.streams.denoise = denoise
     untouched = [picture(noisy / f"f_000{frame}.exr") for frame in (1, 2)]
     found["broken"] = worst(untouched, FOLDER / "broken")
 

@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ import stillray
 from stillray.arrays import srgb
 from stillray.arrays.strips import Strips
 from stillray.frame import Frame
+from stillray.models import session
+from stillray.pipeline import denoiser as pipeline
 from stillray.profiling.synthetic import swing
 from tests.conftest import make_frame
 
@@ -17,20 +20,26 @@ SHAPE = 70, 96
 MODELS = [info.name for info in stillray.list_models()]
 
 
-def in_strips(denoiser, threads):
-    """The same denoiser, whose small frames go in strips of a few rows."""
-    denoiser._strips = Strips(threads, pixels=12 * SHAPE[1])
-    return denoiser
+@pytest.fixture
+def in_strips(monkeypatch):
+    """Makes a denoiser whose small frames go in strips of a few rows."""
+
+    def make(model, threads):
+        with monkeypatch.context() as patch:
+            patch.setattr(pipeline, "Strips", partial(Strips, pixels=12 * SHAPE[1]))
+            return stillray.Denoiser(model, threads=threads)
+
+    return make
 
 
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("model", MODELS)
-def test_a_cancelled_frame_leaves_the_history_as_it_was(model, threads):
+def test_a_cancelled_frame_leaves_the_history_as_it_was(model, threads, in_strips):
     first, second = swing(*SHAPE)
     with stillray.Denoiser(model, threads=threads) as plain:
         plain.denoise(first)
         expected = plain.denoise(second)
-    with in_strips(stillray.Denoiser(model, threads=threads), threads) as denoiser:
+    with in_strips(model, threads) as denoiser:
         denoiser.denoise(first)
         for end in (0, 0.3, 0.6):
             with pytest.raises(stillray.Cancelled, match="progress returned False"):
@@ -48,7 +57,7 @@ def broken(frame):
 
 
 @pytest.mark.parametrize("what", ["broken", "srgb", "layers"])
-def test_a_frame_can_be_ended_at_every_one_of_many_looks(what):
+def test_a_frame_can_be_ended_at_every_one_of_many_looks(what, in_strips):
     """No part of a frame goes as a whole: of a large one it would take long."""
     first, second = (broken(frame) if what == "broken" else frame for frame in swing(*SHAPE))
 
@@ -61,7 +70,7 @@ def test_a_frame_can_be_ended_at_every_one_of_many_looks(what):
         denoise(plain, first)
         usual = []
         denoise(plain, second, progress=usual.append)
-    with in_strips(stillray.Denoiser("fast", threads=1), 1) as denoiser:
+    with in_strips("fast", 1) as denoiser:
         denoise(denoiser, first)
         state, looks = denoiser.state, []
         expected = denoise(denoiser, second, progress=looks.append)
@@ -92,9 +101,9 @@ def test_a_cancelled_frame_with_layers_leaves_their_history_too():
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_progress_goes_from_nothing_to_all_in_the_caller_s_thread(threads):
+def test_progress_goes_from_nothing_to_all_in_the_caller_s_thread(threads, in_strips):
     threads_of_looks = set()
-    with in_strips(stillray.Denoiser("fast", threads=threads), threads) as denoiser:
+    with in_strips("fast", threads) as denoiser:
         for frame in swing(*SHAPE):
             looks = []
 
@@ -119,27 +128,28 @@ def test_what_progress_raises_comes_out_and_the_denoiser_goes_on():
         assert denoiser.denoise(frame).shape == (*SHAPE, 3)
 
 
-def test_a_network_that_nobody_wants_any_more_is_not_waited_for():
+def test_a_network_that_nobody_wants_any_more_is_not_waited_for(monkeypatch):
     entered, release = threading.Event(), threading.Event()
     frame = make_frame(*SHAPE)
+    opened = session.open_session
+
+    class Slow:
+        def __init__(self, *arguments, **options):
+            self.session = opened(*arguments, **options)
+            self.get_outputs = self.session.get_outputs
+
+        def run(self, *arguments):
+            entered.set()
+            assert release.wait(60)
+            return self.session.run(*arguments)
+
+    monkeypatch.setattr(session, "open_session", Slow)
     with stillray.Denoiser("fast", threads=1) as denoiser:
-        session = denoiser.engine._session
-
-        class Slow:
-            get_outputs = session.get_outputs
-
-            def run(self, *arguments):
-                entered.set()
-                assert release.wait(60)
-                return session.run(*arguments)
-
-        denoiser.engine._session = Slow()
         try:
             with pytest.raises(stillray.Cancelled):
                 denoiser.denoise(frame, progress=lambda _: not entered.is_set())
         finally:
             release.set()
-        denoiser.engine._session = session
         assert np.isfinite(denoiser.denoise(frame)).all()
 
 

@@ -19,15 +19,15 @@ def test_crops_are_enlarged_pixel_by_pixel_a_row_a_picture(rng):
         sheet(("left", 2, 3), ("right", 22, 12)), [("noisy", first), ("ours", second)],
         exposure=0.7, side=8, enlargement=3,
     )  # fmt: skip
-    size, step = 24, 24 + contact_sheets._GAP
+    size, step = 24, 24 + contact_sheets.GAP
     for row, image in enumerate((first, second)):
         for column, (x, y) in enumerate(((2, 3), (22, 12))):
-            top, left = contact_sheets._TOP + row * step, contact_sheets._LEFT + column * step
+            top, left = contact_sheets.TOP + row * step, contact_sheets.LEFT + column * step
             crop = page[top : top + size, left : left + size]
             wanted = np.rint(255 * tone_map(image[y : y + 8, x : x + 8], 0.7))
             for offset in (0, 1, 2):  # every one of the nine pixels that show one
                 np.testing.assert_array_equal(crop[offset::3, offset::3], wanted)
-    labels = page[contact_sheets._TOP :, : contact_sheets._LEFT]
+    labels = page[contact_sheets.TOP :, : contact_sheets.LEFT]
     assert (labels < 128).any()
 
 

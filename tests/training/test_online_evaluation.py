@@ -40,11 +40,11 @@ def test_a_larger_reference_is_averaged_over_boxes(tmp_path, rng):
     image = rng.random((8, 12, 3)).astype(np.float32)
     path = tmp_path / "ref_0005.exr"
     write_channels(path, {name: image[..., i] for i, name in enumerate("RGB")})
-    found = evaluate._reference(path, (4, 6))
+    found = evaluate.read_reference(path, (4, 6))
     expected = image.reshape(4, 2, 6, 2, 3).mean((1, 3))
     np.testing.assert_allclose(found, expected, atol=2e-3)
     with pytest.raises(InputError, match="multiple"):
-        evaluate._reference(path, (3, 5))
+        evaluate.read_reference(path, (3, 5))
 
 
 def test_other_models_are_fed_the_mean_of_both_halves():

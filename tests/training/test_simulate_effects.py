@@ -145,7 +145,7 @@ def test_numbers_drawn_are_those_the_plan_names(mi):
         stage.integrator = Silent()
         sampler = Counting()
         shot = trace.Shot(time=0.0, camera=FRONT, previous=FRONT, jitter=np.zeros(2))
-        trace._sample(stage, shot, sampler, 5)
+        trace.sample(stage, shot, sampler, 5)
         camera = [d for d in stage.plan.dimensions if d.per == "sample"]
         assert sampler.drawn == sum(d.size for d in camera)
 

@@ -49,7 +49,7 @@ def test_it_is_the_estimator_of_mitsubas_own_loop(mi, depth):
         [blocks(relay_radiance(stage, stage.sensor, 160, seed, 1 << 22)) for seed in range(12)]
     )
     their = np.array(
-        [blocks(trace._radiance_jit(stage, stage.sensor, 160, 500 + seed)) for seed in range(12)]
+        [blocks(trace.radiance_jit(stage, stage.sensor, 160, 500 + seed)) for seed in range(12)]
     )
     error = np.sqrt((own.var(axis=0, ddof=1) + their.var(axis=0, ddof=1)) / 12) + 1e-6
     assert (np.abs(own.mean(axis=0) - their.mean(axis=0)) < 6 * error).all()

@@ -150,7 +150,7 @@ def test_a_frame_of_several_launches_is_the_mean_of_all_their_samples(mi, stage,
         return seen
 
     monkeypatch.setattr(buffers, "first_hits", keep)
-    monkeypatch.setattr(trace, "_LANES", 2 * 24 * 32)
+    monkeypatch.setattr(trace, "LANES", 2 * 24 * 32)
     frame = buffers.render_noisy(stage, moment(), spp=5, seed=3)
     assert [each for each, _ in calls] == [2, 2, 1]
     assert (calls[0][1]["color"] != calls[1][1]["color"]).any()  # not the same samples thrice
@@ -376,6 +376,6 @@ def test_the_variant_follows_what_the_machine_has(mi, monkeypatch, cuda, library
     import drjit
 
     monkeypatch.setattr(drjit, "has_backend", lambda backend: cuda)
-    name, why = variant._choose(library)
+    name, why = variant.choose(library)
     assert name == chosen
     assert why

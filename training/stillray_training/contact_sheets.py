@@ -28,7 +28,7 @@ from stillray_training.peers import find_peer
 
 CROPS = Path(__file__).with_name("contact_sheets.toml")
 _PEER = "oidn-high"
-_LEFT, _TOP, _GAP = 92, 22, 4  # pixels for the labels of rows and columns, and between crops
+LEFT, TOP, GAP = 92, 22, 4  # pixels for the labels of rows and columns, and between crops
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,8 +97,8 @@ def compose(
     InputError
         A crop does not lie within the frame.
     """
-    step = side * enlargement + _GAP
-    shape = _TOP + len(rows) * step, _LEFT + len(sheet.crops) * step, 3
+    step = side * enlargement + GAP
+    shape = TOP + len(rows) * step, LEFT + len(sheet.crops) * step, 3
     page = np.full(shape, 255, np.uint8)
     for row, (label, image) in enumerate(rows):
         shown = np.rint(tone_map(image, exposure) * 255).astype(np.uint8)
@@ -110,11 +110,11 @@ def compose(
                     f"{sheet.file}: crop must lie within {width}x{height}, got {what} at {x}, {y}"
                 )
             large = crop.repeat(enlargement, 0).repeat(enlargement, 1)
-            top, left = _TOP + row * step, _LEFT + column * step
+            top, left = TOP + row * step, LEFT + column * step
             page[top : top + len(large), left : left + len(large)] = large
             if row == 0:
-                _write(page, what, (left, _TOP - 7))
-        _write(page, label, (2, _TOP + row * step + step // 2))
+                _write(page, what, (left, TOP - 7))
+        _write(page, label, (2, TOP + row * step + step // 2))
     return page
 
 

@@ -19,8 +19,8 @@ from bpy.app.handlers import persistent
 from . import passes, result
 from .streams import Shown, Streams
 
-_streams = Streams()
-_said: set[str] = set()  # once a render is enough
+streams = Streams()
+said: set[str] = set()  # once a render is enough
 
 
 class _Rendered(NamedTuple):
@@ -52,7 +52,7 @@ def denoise_result(engine, rendered: list[_Rendered]) -> None:
                 motion=settings.temporal and not job.scene.render.use_motion_blur,
             )
             shown = Shown(job.scene.name, job.layer, view.name, job.camera)
-            picture = _streams.denoise(
+            picture = streams.denoise(
                 frame, shown, job.number, settings, lambda _: not engine.test_break()
             )
             result.put_picture(layers[job.layer], size, view.name, picture)
@@ -116,8 +116,8 @@ def _told(engine):
 def _tell(engine, text: str) -> None:
     line = f"stillray: {text}"
     engine.report({"WARNING"}, line)  # an error would end an animation before the frame is saved
-    if line not in _said:
-        _said.add(line)
+    if line not in said:
+        said.add(line)
         print(line, flush=True)
 
 
@@ -138,16 +138,16 @@ def _wrap() -> None:
 
 @persistent
 def _on_init(*_) -> None:
-    _said.clear()
+    said.clear()
     _wrap()  # Cycles' add-on may have been off until now
     if not bpy.app.background:
-        _streams.forget()  # anything may have changed; a command line goes on where it was
+        streams.forget()  # anything may have changed; a command line goes on where it was
 
 
 @persistent
 def _on_end(*_) -> None:
     if not bpy.app.background:
-        _streams.close()
+        streams.close()
 
 
 _METHODS = {"render": _wrapped_render, "render_frame_finish": _wrapped_finish}
@@ -157,7 +157,7 @@ _HANDLERS = (("render_init", _on_init), ("render_complete", _on_end), ("render_c
 
 def register() -> None:
     _wrap()
-    atexit.register(_streams.close)
+    atexit.register(streams.close)
     for name, handler in _HANDLERS:
         getattr(bpy.app.handlers, name).append(handler)
 
@@ -170,5 +170,5 @@ def unregister() -> None:
         method = getattr(engine, name, None)
         if hasattr(method, _MARK):
             setattr(engine, name, getattr(method, _MARK))
-    _streams.close()
-    atexit.unregister(_streams.close)
+    streams.close()
+    atexit.unregister(streams.close)

@@ -124,7 +124,7 @@ def measure(
         for number, path in enumerate(paths):
             frame = read_exr(path)
             reference = known.get(cameras[number])
-            wanted = None if reference is None else _reference(reference, frame.shape)
+            wanted = None if reference is None else read_reference(reference, frame.shape)
             for name, denoise in methods.items():
                 image = denoise(frame)
                 if wanted is not None:
@@ -133,7 +133,7 @@ def measure(
     return scores
 
 
-def _reference(path: Path, shape: tuple[int, int]) -> np.ndarray:
+def read_reference(path: Path, shape: tuple[int, int]) -> np.ndarray:
     """A reference in the frames' size: pixels are means of boxes, as those of frames are."""
     image = read_picture(path)
     factor = image.shape[0] // shape[0]

@@ -17,7 +17,7 @@ from stillray_training.simulate.relay import clamped, path_radiance, relay_radia
 from stillray_training.simulate.shading_normal import shading_normal
 from stillray_training.simulate.stage import HULL, Stage
 
-_LANES = 1 << 22  # samples a launch: bounds the memory
+LANES = 1 << 22  # samples a launch: bounds the memory
 _LOBE_SAMPLES = 8  # directions that estimate a specular albedo
 
 Samples = dict[str, np.ndarray]
@@ -59,7 +59,7 @@ def first_hits(stage: Stage, shot: Shot, pixels: np.ndarray, seed: int, each: in
         ``(n,)``, and the guides that the plan wants.
     """
     return _sums(
-        stage, lambda sampler, number: _sample(stage, shot, sampler, number), pixels, seed, each
+        stage, lambda sampler, number: sample(stage, shot, sampler, number), pixels, seed, each
     )
 
 
@@ -128,7 +128,7 @@ def radiance(
     """Mean radiance ``(h, w, 3)`` of that many samples a pixel, in launches of bounded memory."""
     mi = stage.mi
     if "scalar" not in mi.variant() and stage.plan.integrator.plugin == "path":
-        return np.asarray(relay_radiance(stage, sensor, spp, seed, _LANES, clamp), np.float32)
+        return np.asarray(relay_radiance(stage, sensor, spp, seed, LANES, clamp), np.float32)
     width, height = (int(v) for v in np.array(sensor.film().size()))
     total = np.zeros((height, width, 3))
     for index, count in enumerate(launches(spp, height * width)):
@@ -139,20 +139,20 @@ def radiance(
             )
             part = np.array(part, np.float64)[..., :3]
         else:
-            part = _radiance_jit(stage, sensor, count, seed + index, clamp)
+            part = radiance_jit(stage, sensor, count, seed + index, clamp)
         total += count * np.where(np.isfinite(part), part, 0)
     return np.asarray(total / spp, np.float32)
 
 
 def launches(spp: int, pixels: int) -> Iterator[int]:
     """Samples a pixel of each launch: as few launches as memory allows."""
-    most = max(1, _LANES // pixels)
+    most = max(1, LANES // pixels)
     while spp > 0:
         yield min(spp, most)
         spp -= most
 
 
-def _radiance_jit(
+def radiance_jit(
     stage: Stage, sensor: Any, spp: int, seed: int, clamp: float | None = None
 ) -> np.ndarray:
     import drjit as dr
@@ -176,7 +176,7 @@ def _radiance_jit(
     return np.stack([np.array(channel) for channel in color], -1).reshape(height, width, 3)
 
 
-def _sample(stage: Stage, shot: Shot, sampler: Any, number: Any) -> dict[str, Any]:
+def sample(stage: Stage, shot: Shot, sampler: Any, number: Any) -> dict[str, Any]:
     """One sample (scalar variants) or a wavefront of them: colour and first hit."""
     ray, weight = _camera_ray(stage, sampler, stage.sensor, number, shot.jitter, shot.spread)
     color = _light(stage, sampler, ray, weight, shot.clamp)

@@ -74,7 +74,7 @@ def load_mitsuba(variant: str | None = None) -> tuple[Any, str]:
     import mitsuba as mi
 
     if variant is None:
-        variant, reason = _choose(library)
+        variant, reason = choose(library)
     elif variant not in mi.variants():
         raise InputError(f"variant must be of {', '.join(mi.variants())}, got {variant}")
     elif variant.startswith("llvm") and not library:
@@ -90,7 +90,8 @@ def load_mitsuba(variant: str | None = None) -> tuple[Any, str]:
     return mi, f"Mitsuba {mi.__version__} {variant}, {reason}"
 
 
-def _choose(library: str | None) -> tuple[str, str]:
+def choose(library: str | None) -> tuple[str, str]:
+    """The variant for this machine, and why; ``library`` is an LLVM that works, if there is one."""
     import drjit as dr
 
     if dr.has_backend(dr.JitBackend.CUDA):
