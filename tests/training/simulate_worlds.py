@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from stillray_training.simulate import buffers
 from stillray_training.simulate.camera import Camera, look_at
@@ -10,6 +11,7 @@ from stillray_training.simulate.mesh import box, quad, rotation, sphere, transla
 from stillray_training.simulate.plan import Wants, make_plan
 from stillray_training.simulate.stage import Stage
 from stillray_training.simulate.textures import Relief, Texture
+from stillray_training.simulate.variant import bound_llvm, load_mitsuba
 from stillray_training.simulate.world import Fog, Lamp, Lens, Piece, Sky, Sun, Surface, World
 
 HEIGHT, WIDTH = 17, 23
@@ -18,6 +20,13 @@ FRONT = Camera(
     to_world=look_at(np.array([0, 1.2, 5.0]), np.array([0, 0.6, 0]), np.array([0, 1.0, 0])),
     fov_x=50,
 )
+
+
+def opened(name: str):
+    """Mitsuba under a variant; without an LLVM known to work the test is skipped, not ended."""
+    if name.startswith("llvm") and bound_llvm() is None:
+        pytest.skip("no LLVM of a version known to work")
+    return load_mitsuba(name)[0]
 
 
 def everything() -> World:

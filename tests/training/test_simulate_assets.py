@@ -19,7 +19,7 @@ from stillray_training.simulate.plan import make_plan
 from stillray_training.simulate.sequence import SequenceOptions
 from stillray_training.simulate.variant import load_mitsuba
 from stillray_training.simulate.world import Sky, World
-from tests.training.simulate_worlds import noisy
+from tests.training.simulate_worlds import noisy, opened
 
 SCENE = """<scene version="3.0.0">
   <bsdf id="m" type="twosided"><bsdf type="normalmap">
@@ -55,7 +55,7 @@ def write_asset(folder, name="chair", kind="furniture", more=""):
 
 @pytest.fixture(scope="module", params=["scalar_rgb", "llvm_ad_rgb"])
 def mi(request):
-    return load_mitsuba(request.param)[0]
+    return opened(request.param)
 
 
 def test_an_asset_shows_its_colour_and_the_normals_of_its_map(mi, tmp_path):
@@ -95,7 +95,7 @@ def test_who_made_an_asset_is_written_beside_the_pictures(tmp_path):
     )
     seed = next(s for s in range(20) if generate("desk", s, Library(folder)).credits)
     job = Job(scene="desk", seed=seed, effects=("environment",), options=options)
-    run_job(load_mitsuba("llvm_ad_rgb")[0], job, tmp_path / "out")
+    run_job(load_mitsuba()[0], job, tmp_path / "out")
     record = json.loads((job.folders(tmp_path / "out")[0] / "sequence.json").read_text())
     assert record["assets"] == [
         {"name": "chair", "title": "A Square", "author": "A. Nyone", "licence": "CC BY 4.0",

@@ -9,16 +9,15 @@ from stillray_training.simulate.mesh import quad
 from stillray_training.simulate.sequence import open_world
 from stillray_training.simulate.shading_normal import bent_shapes, shading_normal
 from stillray_training.simulate.textures import Relief, Texture
-from stillray_training.simulate.variant import load_mitsuba
 from stillray_training.simulate.world import Piece, Sky, Surface, World
-from tests.training.simulate_worlds import noisy
+from tests.training.simulate_worlds import noisy, opened
 
 TURN = ([2 / 7, 3 / 7, 6 / 7], 50)  # unit axis and degrees
 
 
 @pytest.fixture(scope="module", params=["scalar_rgb", "llvm_ad_rgb"])
 def mi(request):
-    return load_mitsuba(request.param)[0]
+    return opened(request.param)
 
 
 def moulding(depth):
