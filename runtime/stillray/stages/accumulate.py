@@ -41,10 +41,7 @@ def sample_weight(
     light, the mean comes to it as samples grow.
 
     differs: Fan et al. 2021 average plainly (section 4.1), which smears fireflies over the frames
-    that follow. Measured on the validation scenes with kpyr-5, PSNR and SMAPE: 27.39 dB, 0.0584 at
-    a first share of 16 times the surroundings (kept), 27.36, 0.0587 at 12, 27.37, 0.0586 at 24;
-    27.25, 0.0600 with ``1 / (1 + L / (64 (s + s0)))``, which knows nothing of ``n`` and takes 3 %
-    of the energy of exponential noise.
+    that follow. Figures of other weights: docs/decisions.md.
 
     Parameters
     ----------
@@ -97,9 +94,8 @@ def clamp_fireflies(irradiance: np.ndarray, weight: np.ndarray, out: np.ndarray)
     A weight of next to nothing does not bound what a sample does where nothing else is known: in a
     new pixel, or where a network takes pixels by what they show and not by what they weigh.
     So a sample counts as at most ``outlier_ratio / 4 (1 + n) / MIN_WEIGHT`` times its surroundings:
-    160 times in a new pixel, 2,700 times where 16 samples are held. Quality on the validation
-    scenes is the same for smallest weights of 1e-6 to 0.1; what one firefly of 1e6 times the rest
-    lifts a pixel of kpyr-5 by is not: 276 times at 1e-3, 4 times at 0.1.
+    160 times in a new pixel, 2,700 times where 16 samples are held. Other smallest weights:
+    docs/decisions.md.
 
     Parameters
     ----------
