@@ -184,6 +184,7 @@ class _Pixels:
         self._discontinuous: np.ndarray | None = None
         if moved is not None and buffers.motion is not None:
             with timed(means.timings, "reproject"):
+                means.strips.watch.look()
                 if buffers.motion.any():
                     self.positions = workspace.array("positions", buffers.motion.shape)
                     if self.surface_guides is not None and moved.surface_guides is not None:

@@ -216,14 +216,9 @@ def virtual_motion(
         otherwise.
     """
     motion, depth, albedo = surfaces.motion, surfaces.depth, surfaces.albedo
-    height, width = depth.shape
     if not motion.any():
         return motion
-    even = (slice(0, height // 2 * 2), slice(0, width // 2 * 2))
-    shows = cv2.bitwise_and(
-        _is_black(_every_second(albedo[even]), options.black),
-        cv2.compare(_every_second(depth[even]), 0, cv2.CMP_GT),
-    )
+    shows = _mirrors(surfaces, options.black, strips)
     if not shows.any():
         return motion
     camera = camera_motion(motion, depth)
@@ -257,6 +252,21 @@ def virtual_motion(
         return True
 
     return result if any(strips.run(work, high, wide)) else motion
+
+
+def _mirrors(surfaces: Surfaces, black: float, strips: Strips) -> np.ndarray:
+    """Not 0 where a mirror may be, at half the resolution, uint8."""
+    half = tuple(size // 2 for size in surfaces.depth.shape)
+    shows = np.empty(half, np.uint8)
+
+    def work(blocks: slice) -> None:
+        part = (slice(2 * blocks.start, 2 * blocks.stop), slice(0, 2 * half[1]))
+        hit = cv2.compare(_every_second(surfaces.depth[part]), 0, cv2.CMP_GT)
+        dark = _is_black(_every_second(surfaces.albedo[part]), black)
+        cv2.bitwise_and(dark, hit, dst=shows[blocks])
+
+    strips.run(work, *half, pixels=STRIP_PIXELS // 4)
+    return shows
 
 
 def _half_size(
