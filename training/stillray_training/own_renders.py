@@ -205,7 +205,7 @@ def _write(
     for old in [folder / RECORD, *folder.glob("*_*.exr")]:
         old.unlink(missing_ok=True)
     for index, frame in enumerate(frames):
-        write(folder / f"frame_{index:04d}.exr", _layers(frame))
+        write(folder / f"frame_{index:04d}.exr", layers_of(frame))
     write(folder / f"ref_{len(frames) - 1:04d}.exr", {"color": reference})
     record = {
         "scene": name,
@@ -226,8 +226,14 @@ def _write(
     return Gathered(folder=folder, frames=len(frames), samples=samples, brightness=bright)
 
 
-def _layers(frame: Frame) -> dict[str, np.ndarray]:
-    """What is written of a frame; what is not finite as NaN, so that it is repaired as such."""
+def layers_of(frame: Frame) -> dict[str, np.ndarray]:
+    """What is written of a frame for training; what is not finite as NaN, to be repaired as such.
+
+    Parameters
+    ----------
+    frame
+        With albedo, normal and depth.
+    """
     color = np.where(np.isfinite(frame.color), frame.color, np.float32(np.nan))
     layers = {"color": color}
     for role in (*_NEEDED, "motion"):

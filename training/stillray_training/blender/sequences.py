@@ -1,0 +1,90 @@
+"""``python -m stillray_training.blender.sequences FOLDER``: Cycles renders to learn from.
+
+Each scene gives 8 frames, blocks of further samples of the last, and its reference, multilayer as
+Blender writes them; ``stillray_training.cycles_sequences`` makes training's sequences of them.
+What is there already is kept, so a run can be taken up again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import shutil
+from pathlib import Path
+
+import bpy
+
+from stillray_training.blender.cycles import prepare, render
+from stillray_training.blender.generated import KINDS, build
+from stillray_training.blender.record import RECORD, TAKEN
+
+FRAMES = 8
+BLOCKS = (1, 2, 4, 8, 16)  # samples a pixel of the blocks beside the last frame
+_BLOCK_SEED, _REFERENCE_SEED = 100, 1000  # no two files share their noise
+_ODDS = (0.5, 0.3, 0.2)  # of the kinds
+
+
+def render_scene(folder: Path, seed: int, size: int, reference: int, assets: Path | None) -> None:
+    """All files of one scene.
+
+    Parameters
+    ----------
+    folder
+        Where they go, made if missing.
+    seed
+        Of scene and settings.
+    size
+        Width and height in pixels.
+    reference
+        Samples a pixel of the reference.
+    assets
+        Folder of licensed objects; None for none.
+    """
+    if (folder / RECORD).exists():
+        return
+    drawn = random.Random(seed)
+    kind = drawn.choices(list(KINDS), _ODDS)[0]
+    scene = prepare((size, size))
+    scene.cycles.filter_width = drawn.choice((1.5, 1.5, 1.5, 1.0, 2.0))
+    scene.cycles.sample_clamp_indirect = drawn.choice((10.0, 10.0, 3.0, 30.0))
+    scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = drawn.random() < 0.5
+    samples = drawn.choice((1, 1, 2, 4))
+    used = build(kind, seed, assets, FRAMES)
+    last = FRAMES - 1
+    for frame in range(FRAMES):
+        render(folder / f"frame_{frame:04d}.exr", frame=frame, samples=samples, seed=frame)
+    for index, count in enumerate(BLOCKS):
+        path = folder / f"block_{index:02d}.exr"
+        render(path, frame=last, samples=count, seed=_BLOCK_SEED + index)
+    render(folder / f"ref_{last:04d}.exr", frame=last, samples=reference, seed=_REFERENCE_SEED)
+    record = {
+        "scene": kind, "seed": seed, "frames": FRAMES, "spp": samples, "blocks": BLOCKS,
+        "reference_spp": reference, "height": size, "width": size, "used": used,
+        "clamp": scene.cycles.sample_clamp_indirect, "blender": bpy.app.version_string,
+    }  # fmt: skip
+    (folder / RECORD).write_text(json.dumps(record, indent=1))
+
+
+def main() -> None:
+    """Render scenes of consecutive seeds."""
+    parser = argparse.ArgumentParser(description="Render scenes to learn from with Cycles.")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--count", type=int, default=100, help="scenes")
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--size", type=int, default=192, help="width and height in pixels")
+    parser.add_argument("--reference", type=int, default=256, help="samples a pixel")
+    parser.add_argument("--assets", type=Path, help="folder of licensed objects")
+    given = parser.parse_args()
+    for seed in range(given.first_seed, given.first_seed + given.count):
+        folder = given.folder.resolve() / f"{seed:05d}"
+        if (folder / TAKEN).exists():
+            continue
+        render_scene(folder, seed, given.size, given.reference, given.assets)
+        left = shutil.disk_usage(folder).free
+        if left < 2 << 30:
+            raise SystemExit(f"{folder}: disk full but for {left >> 20} MiB")
+
+
+if __name__ == "__main__":
+    main()
