@@ -28,7 +28,6 @@ from stillray_training.simulate.sequence import RECORD, is_complete, write
 from stillray_training.targets import make_targets
 
 
-
 def take(rendered: Path, out: Path, assets: Path | None = None) -> float | None:
     """One scene's files as a sequence, with its target; None if it is there already.
 

@@ -52,6 +52,10 @@ from stillray_training.provenance import ASSETS, assets_of
 from stillray_training.schedule import follow, learning_rate
 from stillray_training.start import STARTED_FROM, start_from
 
+#: Whether the processor multiplies bfloat16 itself; where it does not, a step takes far longer.
+HAS_BFLOAT16 = any(
+    torch.cpu.get_capabilities().get(name) for name in ("avx512_bf16", "amx_bf16", "bf16")
+)
 PREVIOUS = "previous.onnx"  # the model whose outputs are the previous ones of a recurrence
 _USUAL_ERROR = 0.25  # mean error as displayed of a patch of one sample a pixel
 _QUIETEST = 0.01  # and what is added to it, so that a patch without noise does not count alone
@@ -68,7 +72,7 @@ def reconstruct_loss(
     }
     # channels last: the processor's convolutions of 16 channels run a third faster
     features = take["features"].contiguous(memory_format=torch.channels_last)
-    with torch.autocast("cpu", torch.bfloat16, enabled=spec.training.bfloat16):
+    with torch.autocast("cpu", torch.bfloat16, enabled=spec.training.bfloat16 and HAS_BFLOAT16):
         outputs = network(features)
     outputs = tree_map(Tensor.float, outputs)
     image = family.radiance(outputs, take, spec) * take["exposure"]

@@ -411,7 +411,8 @@ class Training:
     # that begin with a hundredth of the error count ten times as much. [0, 1]
     quiet_power: float = 0.0
     average: float = 0.0  # decay of the mean of weights over steps, which is what is kept; 0: none
-    bfloat16: bool = False  # whether the network's convolutions run so: half the time, less exact
+    # Whether the network's convolutions run so where the processor can: half the time, less exact
+    bfloat16: bool = False
     still_share: float = 0.0  # share of patches of single frames of 2 to 32 samples a pixel, [0, 1]
     frames: int = 1  # that a recurrent model is unrolled over
     weight_decay: float = 0.0  # of Adam, see `torch.optim.AdamW`; >= 0

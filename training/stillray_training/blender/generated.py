@@ -247,7 +247,11 @@ def _chair(place: Place, at: Point) -> None:
     drawn, (x, y, _) = place.drawn, at
     if drawn.random() < 0.3 and place.asset(at, None, "chair monobloc_chair painted_stool"):
         return
-    stuff, seat, slim = material(drawn, grain=0.4), drawn.uniform(0.4, 0.5), drawn.uniform(0.01, 0.025)
+    stuff, seat, slim = (
+        material(drawn, grain=0.4),
+        drawn.uniform(0.4, 0.5),
+        drawn.uniform(0.01, 0.025),
+    )
     box((x - 0.22, y - 0.22, seat), (x + 0.22, y + 0.22, seat + 0.04), stuff, bevel=0.01)
     back = drawn.choice((-1, 1)) * 0.2
     for a in (-0.2, 0.2):
@@ -260,9 +264,17 @@ def _chair(place: Place, at: Point) -> None:
 
 def _shelf(place: Place, at: Point) -> None:
     drawn, (x, y, _) = place.drawn, at
-    stuff, broad, high = material(drawn, grain=0.5), drawn.uniform(0.4, 0.9), drawn.uniform(0.8, 2.0)
+    stuff, broad, high = (
+        material(drawn, grain=0.5),
+        drawn.uniform(0.4, 0.9),
+        drawn.uniform(0.8, 2.0),
+    )
     for side in (-1, 1):
-        box((x + side * broad - 0.015, y - 0.15, 0), (x + side * broad + 0.015, y + 0.15, high), stuff)
+        box(
+            (x + side * broad - 0.015, y - 0.15, 0),
+            (x + side * broad + 0.015, y + 0.15, high),
+            stuff,
+        )
     levels = drawn.randint(2, 5)
     covers = [material(drawn, grain=0.2) for _ in range(5)]
     for level in range(levels + 1):
@@ -355,7 +367,9 @@ def _object(place: Place, at: Point, size: float) -> None:
         thing.location, thing.rotation_euler = (x, y, z + c), (0, 0, drawn.uniform(0, 3))
     elif kind == "vase":
         steps = drawn.randint(4, 9)
-        profile = [(half * drawn.uniform(0.2, 0.8), size * step / steps) for step in range(steps + 1)]
+        profile = [
+            (half * drawn.uniform(0.2, 0.8), size * step / steps) for step in range(steps + 1)
+        ]
         thing = lathe([(0, 0), *profile], (x, y, z), stuff)
         thing.modifiers.new("smooth", "SUBSURF").render_levels = 2
     elif kind == "ring":
@@ -374,7 +388,11 @@ def _object(place: Place, at: Point, size: float) -> None:
         thing = add(_folds(drawn, size), stuff, (x, y, z + 0.02 * size))
     else:
         for _ in range(drawn.randint(3, 14)):
-            tip = (x + drawn.uniform(-half, half), y + drawn.uniform(-half, half), z + size * drawn.uniform(0.5, 1))
+            tip = (
+                x + drawn.uniform(-half, half),
+                y + drawn.uniform(-half, half),
+                z + size * drawn.uniform(0.5, 1),
+            )
             thing = rod((x, y, z), tip, size * drawn.uniform(0.004, 0.03), stuff)
     place.things.append(thing)
 
@@ -382,7 +400,11 @@ def _object(place: Place, at: Point, size: float) -> None:
 def _folds(drawn: Random, size: float) -> Any:
     mesh = primitive("grid", x_segments=60, y_segments=60, size=size / 2)
     waves = [
-        (drawn.uniform(5, 40) / size, drawn.uniform(5, 40) / size, drawn.uniform(0.002, 0.03) * size)
+        (
+            drawn.uniform(5, 40) / size,
+            drawn.uniform(5, 40) / size,
+            drawn.uniform(0.002, 0.03) * size,
+        )
         for _ in range(4)
     ]
     for point in mesh.vertices:
@@ -469,7 +491,11 @@ def _house(place: Place, at: Point) -> None:
 
 def _fence(place: Place, y: float) -> None:
     drawn = place.drawn
-    stuff, step, high = material(drawn, grain=0.3), drawn.uniform(0.08, 0.4), drawn.uniform(0.6, 1.5)
+    stuff, step, high = (
+        material(drawn, grain=0.3),
+        drawn.uniform(0.08, 0.4),
+        drawn.uniform(0.6, 1.5),
+    )
     slim = drawn.uniform(0.006, 0.03)
     for index in range(int(8 / step)):
         x = -4 + index * step
