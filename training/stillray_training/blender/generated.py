@@ -113,7 +113,7 @@ def _room(place: Place) -> None:
 def _pierced(
     place: Place, length: float, across: tuple[float, float], wall: Material, *, side: bool
 ) -> None:
-    """A wall with windows along x at y = ``across[0]``, or along y at x if ``side``; sun outside."""
+    """A wall with windows along x at y = ``across[0]``, or along y at x if ``side``; and sun."""
     drawn, (offset, height) = place.drawn, across
     low, high = drawn.uniform(0.3, 1.0), height - drawn.uniform(0.2, 0.6)
 

@@ -1,0 +1,112 @@
+"""What Blender's Cycles rendered for training becomes sequences like the simulator's."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="training is of the extra train")
+pytest.importorskip("pyoidn", reason="targets are of the extra compare")
+
+from stillray.arrays.strips import Strips  # noqa: E402
+from stillray.errors import InputError  # noqa: E402
+from stillray.io.exr.read_write import read_exr  # noqa: E402
+from stillray.model_spec import load  # noqa: E402
+from stillray_training.blender.record import RECORD, TAKEN  # noqa: E402
+from stillray_training.cycles_sequences import main, take  # noqa: E402
+from stillray_training.dataset import QUIET, STILL, find_sequences, load_examples  # noqa: E402
+from stillray_training.provenance import assets_of  # noqa: E402
+from tests.conftest import clean_color, make_frame  # noqa: E402
+from tests.training.test_own_renders import write_render  # noqa: E402
+
+SIZE = 64
+FILES = ["frame_0000", "frame_0001", "block_00", "block_01", "ref_0001"]
+
+
+@pytest.fixture
+def rendered(tmp_path):
+    """A scene of two frames and two blocks, as Blender's side leaves it."""
+    folder = tmp_path / "raw" / "00007"
+    folder.mkdir(parents=True)
+    for index, name in enumerate(FILES):
+        frame = make_frame(SIZE, SIZE, index)
+        if name.startswith("ref"):
+            frame = replace(frame, color=clean_color(SIZE, SIZE))
+        write_render(folder / f"{name}.exr", frame)
+    record = {
+        "scene": "cycles_room", "seed": 7, "frames": 2, "spp": 2, "blocks": [1, 4],
+        "reference_spp": 64, "height": SIZE, "width": SIZE, "used": ["cup"], "clamp": 10.0,
+        "blender": "5.0.1",
+    }  # fmt: skip
+    (folder / RECORD).write_text(json.dumps(record))
+    asset = {
+        "name": "cup", "title": "Cup", "author": "Somebody", "licence": "CC0 1.0",
+        "source": "https://example.org",
+    }  # fmt: skip
+    (tmp_path / "assets" / "cup").mkdir(parents=True)
+    (tmp_path / "assets" / "cup" / "asset.json").write_text(json.dumps(asset))
+    return folder
+
+
+def test_a_scene_becomes_a_sequence_that_training_reads(rendered, tmp_path):
+    out = tmp_path / "data" / "cycles_room-00007-0"
+    bias = take(rendered, out, tmp_path / "assets")
+    assert abs(bias) < 0.1
+    assert find_sequences(tmp_path / "data") == [out]
+    assert assets_of([out]) == {"cup": '"Cup" by Somebody (https://example.org), CC0 1.0'}
+    frame, noisy = read_exr(out / "frame_0001.exr"), make_frame(SIZE, SIZE, 1)
+    np.testing.assert_allclose(frame.color, noisy.color, rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(frame.depth, noisy.depth, rtol=1e-5)
+    assert frame.motion is not None
+    examples = load_examples(out, load("kpyr-5"), Strips(1))
+    assert {e.spp for e in examples if e.kind == STILL} <= {1, 2, 3, 4, 5, 6, 7}
+    assert min(e.spp for e in examples if e.kind == QUIET) > 7
+    # what is learned from is the filtered reference, not that
+    reference, target = (read_exr(out / f"{name}_0001.exr").color for name in ("ref", "target"))
+    assert np.abs(reference - target).max() > 0
+    np.testing.assert_array_equal(examples[0].reference, target)
+    assert take(rendered, out, tmp_path / "assets") is None
+
+
+def test_renders_are_deleted_once_taken_and_not_rendered_anew(rendered, tmp_path):
+    main(rendered.parent, tmp_path / "data", assets=tmp_path / "assets", remove=True)
+    assert [path.name for path in rendered.iterdir()] == [TAKEN]
+    assert len(find_sequences(tmp_path / "data")) == 1
+    main(rendered.parent, tmp_path / "data", assets=tmp_path / "assets")
+
+
+def test_an_asset_without_a_credit_is_refused(rendered, tmp_path):
+    with pytest.raises(InputError, match="assets must hold cup"):
+        take(rendered, tmp_path / "data" / "one", None)
+    assert not find_sequences(tmp_path)
+
+
+@pytest.mark.skipif(
+    not os.environ.get("STILLRAY_BLENDER_PYTHON"),
+    reason="STILLRAY_BLENDER_PYTHON names no Python with bpy",
+)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_blender_renders_a_scene_of_a_seed(tmp_path, seed):
+    options = f"--count 1 --first-seed {seed} --size 24 --reference 4".split()
+    command = [
+        os.environ["STILLRAY_BLENDER_PYTHON"],
+        "-m",
+        "stillray_training.blender.sequences",
+        str(tmp_path),
+    ]
+    environment = {**os.environ, "PYTHONPATH": "training"}
+    subprocess.run([*command, *options], check=True, env=environment, capture_output=True)
+    folder = tmp_path / f"{seed:05d}"
+    take(folder, tmp_path / "data" / "one")
+    frame = read_exr(tmp_path / "data" / "one" / "frame_0007.exr")
+    reference = read_exr(tmp_path / "data" / "one" / "ref_0007.exr")
+    assert np.isfinite(reference.color).all()
+    assert reference.color.max() > 0
+    assert frame.depth.max() > 0
+    # other seeds of noise, the same light
+    assert np.abs(frame.color - reference.color).max() > 0
