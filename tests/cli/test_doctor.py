@@ -43,7 +43,7 @@ def test_a_library_that_is_there_twice_is_a_problem_with_its_cure(tmp_path):
     assert "cv2 comes from 2 packages" in line
     assert "opencv-python 4.9.0" in line
     assert "pip uninstall opencv-" in line
-    assert line.endswith("pip install opencv-python-headless")
+    assert line.endswith("pip install opencv-contrib-python-headless")
 
 
 def test_a_library_that_cannot_be_loaded_is_a_problem(monkeypatch):
@@ -51,10 +51,10 @@ def test_a_library_that_cannot_be_loaded_is_a_problem(monkeypatch):
         raise ImportError("libGL.so.1: cannot open\nshared object file")
 
     monkeypatch.setattr(install, "import_module", fail)
-    (found,) = install.look_at_module("cv2", "opencv-python-headless", {})
+    (found,) = install.look_at_module("cv2", "opencv-contrib-python-headless", {})
     assert found.kind == "problem"
     assert "libGL.so.1: cannot open shared object file" in found.text
-    assert found.text.endswith("pip install --force-reinstall opencv-python-headless")
+    assert found.text.endswith("pip install --force-reinstall opencv-contrib-python-headless")
 
 
 def test_a_model_that_is_none_is_a_problem(capsys):

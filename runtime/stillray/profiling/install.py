@@ -20,7 +20,7 @@ OK, NOTE, PROBLEM = "ok", "note", "problem"
 #: Modules that must be there, and what to install for each.
 _NEEDED = {
     "numpy": "numpy",
-    "cv2": "opencv-python-headless",
+    "cv2": "opencv-contrib-python-headless",
     "onnxruntime": "onnxruntime",
     "OpenImageIO": "OpenImageIO",
 }
@@ -160,7 +160,7 @@ def look_at_remap() -> Finding:
         NOTE,
         f"OpenCV {cv2.__version__} rounds places to 1/32 pixel, as all do before 5.0: moving "
         "pictures differ slightly (67 dB) from those of other machines; "
-        "pip install 'opencv-python-headless>=5'",
+        "pip install 'opencv-contrib-python-headless>=5'",
     )
 
 
