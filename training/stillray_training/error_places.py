@@ -65,6 +65,8 @@ def edges_of(frame: Frame) -> np.ndarray:
     missing = [name for name in ("albedo", "normal", "depth") if getattr(frame, name) is None]
     if missing:
         raise InputError(f"frames must have albedo, normal and depth, lack {', '.join(missing)}")
+    assert frame.albedo is not None
+    assert frame.normal is not None
     assert frame.depth is not None
     depth = 2 * np.log(np.maximum(frame.depth, np.float32(1e-3)))
     guides = np.dstack([frame.albedo, frame.normal, depth]).astype(np.float32)

@@ -194,21 +194,21 @@ def _trim(place: Place, width: float, depth: float) -> None:
     if drawn.random() < 0.5:
         return
     stuff, high = Material("trim", color(drawn), Roughness=0.4), drawn.uniform(0.05, 0.15)
-    for low, top in (
+    for low, far in (
         ((0.0, 0.0, 0.0), (0.015, depth, high)),
         ((width - 0.015, 0.0, 0.0), (width, depth, high)),
         ((0.0, depth - 0.015, 0.0), (width, depth, high)),
     ):
-        box(low, top, stuff, bevel=0.004)
+        box(low, far, stuff, bevel=0.004)
     if drawn.random() < 0.6:  # panels whose frames stand out
         z, step = drawn.uniform(0.3, 0.8), drawn.uniform(0.3, 0.8)
         for index in range(int(width / step)):
             x = index * step + 0.05
-            for low, top in (
+            for (left, bottom), (right, top) in (
                 ((x, z), (x + step - 0.1, z + 0.02)), ((x, z + 0.7), (x + step - 0.1, z + 0.72)),
                 ((x, z), (x + 0.02, z + 0.7)), ((x + step - 0.12, z), (x + step - 0.1, z + 0.7)),
             ):  # fmt: skip
-                box((low[0], depth - 0.012, low[1]), (top[0], depth, top[1]), stuff, bevel=0.003)
+                box((left, depth - 0.012, bottom), (right, depth, top), stuff, bevel=0.003)
 
 
 def _room_lamps(place: Place, width: float, depth: float, height: float, *, dark: bool) -> None:

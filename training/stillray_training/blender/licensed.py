@@ -72,17 +72,18 @@ def _mesh(path: Path) -> tuple[Any, float]:
         elif words[:2] == ["property", "list"]:
             faces = np.dtype([("n", _NUMBERS[words[2]]), ("corner", _NUMBERS[words[3]], 3)])
     vertices = np.frombuffer(raw, np.dtype(fields), counts["vertex"], end)
+    known = {name for name, _ in fields}
     triangles = np.frombuffer(raw, faces, counts["face"], end + vertices.nbytes)["corner"]
     points = np.stack([vertices[axis] for axis in "xyz"], -1)
     mesh = bpy.data.meshes.new(path.stem)
     mesh.from_pydata(points.tolist(), [], triangles.tolist())
     mesh.shade_smooth()
-    if "nx" in vertices.dtype.names:
+    if "nx" in known:
         mesh.normals_split_custom_set_from_vertices(
             np.stack([vertices[axis] for axis in ("nx", "ny", "nz")], -1).tolist()
         )
-    across, down = ("u", "v") if "u" in vertices.dtype.names else ("s", "t")
-    if across in vertices.dtype.names:
+    across, down = ("u", "v") if "u" in known else ("s", "t")
+    if across in known:
         layer = mesh.uv_layers.new(name="uv")
         # files have v downwards
         uv = np.stack([vertices[across], 1 - vertices[down]], -1)[triangles.reshape(-1)]
