@@ -21,6 +21,7 @@ from stillray.cli.program import BAD_INPUT, DONE, FAILED, complain
 from stillray.cli.tradeoff import tradeoff
 from stillray.errors import InputError
 
+_COMPLETE = "_STILLRAY_COMPLETE"  # set by a shell that asks how words may end, not for a run
 _INTERRUPTED = 130  # what newer versions of typer make of Ctrl-C, where others raise Abort
 
 
@@ -85,6 +86,8 @@ def _help_alone(command: Any, given: Sequence[str]) -> str | None:
     The parser would give the same text, but converts values first, for which typer loads pydantic:
     half of the time that a help text takes.
     """
+    if _COMPLETE in os.environ:
+        return None
     *names, last = given
     if last != "--help" or names != [name for name in names[:1] if name in command.commands]:
         return None
