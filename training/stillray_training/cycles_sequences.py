@@ -77,9 +77,11 @@ def take(rendered: Path, out: Path, assets: Path | None = None) -> float | None:
         "assets": [_credit(assets, name) for name in given["used"]],
         "renderer": f"Cycles, Blender {given['blender']}",
     }
+    bias = make_targets(out)
+    # last: a sequence that has it is complete
     with atomic_path(out / RECORD) as temporary:
         temporary.write_text(json.dumps(record, indent=1))
-    return make_targets(out)
+    return bias
 
 
 def _read(layout: Layout, path: Path, before: Path | None) -> Frame:

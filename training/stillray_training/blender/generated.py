@@ -71,7 +71,6 @@ def build(kind: str, seed: int, assets: Path | None, frames: int) -> list[str]:
         How many will be rendered.
     """
     place = Place(Random(f"{kind} {seed}"), assets)
-    licensed.forget()
     KINDS[kind](place)
     _move(place, frames)
     return sorted(place.used)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -133,19 +132,8 @@ def _map(folder: Path, bsdf: Any, role: str) -> Path | None:
     return None if file is None else folder / file.attrib["value"]
 
 
-@cache
-def _loaded(path: Path, raw: bool) -> str:
-    image = bpy.data.images.load(str(path), check_existing=False)
-    image.colorspace_settings.name = "Non-Color" if raw else "sRGB"
-    return str(image.name)
-
-
-def forget() -> None:
-    """Images are Blender's, and go when its scene is emptied."""
-    _loaded.cache_clear()
-
-
 def _image(made: Material, path: Path, *, raw: bool) -> Any:
     node = made.node("TexImage")
-    node.image = bpy.data.images[_loaded(path, raw)]
+    node.image = bpy.data.images.load(str(path), check_existing=True)
+    node.image.colorspace_settings.name = "Non-Color" if raw else "sRGB"
     return node
