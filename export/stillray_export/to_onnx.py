@@ -24,7 +24,8 @@ from stillray.model_spec import ModelSpec, from_json
 from stillray.models.registry import WHOLE_SUFFIX, find_model, require_fit
 from stillray.models.session import checked
 from stillray_export import feature_filters, parity
-from stillray_export.frame_graph.export import write
+from stillray_export.frame_graph.color_curve import ColorCurve
+from stillray_export.frame_graph.export import write, write_spatial
 from stillray_training.checkpoint import CHECKPOINT, load_network
 from stillray_training.decoders.boxes import pooled_box_mean
 from stillray_training.evaluate.cases import find_cases
@@ -117,12 +118,14 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
 def main(
     run: Annotated[
         Path,
-        typer.Argument(help="Folder of a training run; with --frame-graph a model, as --model."),
+        typer.Argument(
+            help="Folder of a training run; with --frame-graph or --spatial a model, as --model."
+        ),
     ],
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for the .onnx files: that of the models, or with --frame-graph this one."
+            help="Folder for the .onnx files: that of the models; this one for graphs of frames."
         ),
     ] = None,
     validation: Annotated[
@@ -131,10 +134,20 @@ def main(
     frame_graph: Annotated[
         bool, typer.Option("--frame-graph", help="Write NAME.frame.onnx of a model that is there.")
     ] = False,
+    spatial: Annotated[
+        ColorCurve | None,
+        typer.Option(
+            help="Write NAME.spatial.onnx of a model that is there, for frames without a past, as "
+            "Unreal's NNE Denoiser has them; color through this curve."
+        ),
+    ] = None,
 ) -> None:
     """Export a trained run, or all stages of a model as one graph a frame."""
     if frame_graph:
         print(write(find_model(str(run)), out or Path()))
+    if spatial is not None:
+        print(write_spatial(find_model(str(run)), out or Path(), spatial))
+    if frame_graph or spatial is not None:
         return
     out = out or Path("runtime/stillray/models")
     checkpoint = run / CHECKPOINT

@@ -1,4 +1,7 @@
-"""``stillray-export kpyr-5 --frame-graph``: a model file becomes one graph a frame."""
+"""``stillray-export kpyr-5 --frame-graph``: a model file becomes one graph a frame.
+
+``--spatial oidn`` makes one of a frame alone.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,13 @@ from torch import Tensor
 
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec.network_outputs import network_outputs
-from stillray.models.frame_graph import FRAME_SUFFIX, PORTS_KEY
+from stillray.models.frame_graph import FRAME_SUFFIX, PORTS_KEY, SPATIAL_SUFFIX, Ports
 from stillray.models.registry import PROVENANCE_KEY, SPEC_KEY, ModelInfo
+from stillray_export.frame_graph.color_curve import ColorCurve
 from stillray_export.frame_graph.frame import NUMBERS, FrameGraph, beginning
 from stillray_export.frame_graph.graph import Placeholder, expanded, traced
-from stillray_export.frame_graph.ports import ports
+from stillray_export.frame_graph.ports import ports, spatial_ports
+from stillray_export.frame_graph.spatial import PLANES, SpatialGraph
 
 _EXAMPLE = (37, 58)  # pixels; odd, and no multiple of what networks take
 
@@ -29,10 +34,23 @@ def write(info: ModelInfo, out: Path) -> Path:
     InputError
         The model is of a family that has no frame graph.
     """
-    path = out / f"{info.name}{FRAME_SUFFIX}.onnx"
-    data = frame_graph(info).SerializeToString()
+    return _written(frame_graph(info), out / f"{info.name}{FRAME_SUFFIX}.onnx")
+
+
+def write_spatial(info: ModelInfo, out: Path, curve: ColorCurve) -> Path:
+    """Write ``NAME.spatial.onnx`` of a model into a folder; see `SpatialGraph` for what it is.
+
+    Raises
+    ------
+    InputError
+        The model is of a family that has no frame graph.
+    """
+    return _written(spatial_graph(info, curve), out / f"{info.name}{SPATIAL_SUFFIX}.onnx")
+
+
+def _written(model: onnx.ModelProto, path: Path) -> Path:
     with atomic_path(path) as temporary:
-        temporary.write_bytes(data)
+        temporary.write_bytes(model.SerializeToString())
     return path
 
 
@@ -45,8 +63,28 @@ def frame_graph(info: ModelInfo) -> onnx.ModelProto:
     names = [port.name for port in told.inputs], [port.name for port in told.outputs]
     model = traced(module, _example(module), names, network)
     _typed(model.graph)
+    return _told(model, info, told)
+
+
+def spatial_graph(info: ModelInfo, curve: ColorCurve) -> onnx.ModelProto:
+    """The graph of a frame alone: ``(1, PLANES, h, w)`` to ``(1, 3, h, w)``."""
+    spec = info.spec
+    network = onnx.load_model(str(info.path))
+    module = SpatialGraph(Placeholder(network_outputs(spec)), spec, curve).eval()
+    told = spatial_ports(curve)
+    names = [port.name for port in told.inputs], [port.name for port in told.outputs]
+    example = torch.rand(1, PLANES, *_EXAMPLE, generator=torch.Generator().manual_seed(0))
+    model = traced(module, [example], names, network, sizes=(2, 3))
+    for value, planes in ((model.graph.input[0], PLANES), (model.graph.output[0], 3)):
+        shape: list[int | str] = [1, planes, "height", "width"]
+        value.CopyFrom(helper.make_tensor_value_info(value.name, TensorProto.FLOAT, shape))
+    return _told(model, info, told)
+
+
+def _told(model: onnx.ModelProto, info: ModelInfo, told: Ports) -> onnx.ModelProto:
+    """A graph with what there is to know of it, checked."""
     metadata = {
-        SPEC_KEY: spec.to_json(),
+        SPEC_KEY: info.spec.to_json(),
         PROVENANCE_KEY: json.dumps(info.provenance, sort_keys=True),
         PORTS_KEY: told.to_json(),
     }

@@ -181,7 +181,7 @@ class FrameGraph(nn.Module):
         relit = (frame.moves > 0) & (kept < LEAST_KEPT)
         final = torch.where(relit, own, exposure)
         held = torch.cat([held[:, :3], held[:, 3:] * trusted], 1)
-        mean, total, sample, local = self._accumulate(frame, held, irradiance, light, final)
+        mean, total, sample, local = self.accumulate(frame, held, irradiance, light, final)
         disoccluded = (total <= sample[:, 4:]).to(torch.float32)
         counts = frame.counts
         total, worth = total * counts.share, sample[:, 3:4] * counts.share
@@ -217,7 +217,7 @@ class FrameGraph(nn.Module):
         )
         return prepared, torch.cat([sample[:, :3], worth], 1), state
 
-    def _accumulate(
+    def accumulate(
         self, frame: Buffers, held: Tensor, irradiance: Tensor, light: Tensor, exposure: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Mean and samples, this frame's sample with its weights, and what is usual around pixels.

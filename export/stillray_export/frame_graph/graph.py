@@ -58,6 +58,7 @@ def traced(
     example: Sequence[Tensor],
     names: tuple[Sequence[str], Sequence[str]],
     network: onnx.ModelProto,
+    sizes: tuple[int, int] = (0, 1),
 ) -> onnx.ModelProto:
     """The graph of a module, with a network's own in the place of its `Placeholder`.
 
@@ -72,6 +73,8 @@ def traced(
         Of inputs and outputs.
     network
         Of one input; its outputs are the placeholder's.
+    sizes
+        Axes of inputs that are height and width, of any number of pixels.
     """
     given, left = names
     file = io.BytesIO()
@@ -87,7 +90,7 @@ def traced(
             dynamo=False,
             custom_opsets={_DOMAIN: 1},
             dynamic_axes={
-                name: {axis: f"{name} {axis}" for axis in (0, 1)}
+                name: {axis: f"{name} {axis}" for axis in sizes}
                 for name, tensor in zip(given, example, strict=True)
                 if tensor.ndim > 1
             },

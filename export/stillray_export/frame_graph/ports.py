@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from stillray.model_spec import ModelSpec
 from stillray.models.frame_graph import Port, Ports
+from stillray_export.frame_graph.color_curve import ColorCurve
 from stillray_export.frame_graph.frame import NOISE_BLOCK, NUMBERS
+from stillray_export.frame_graph.spatial import PLANES
 
 _IMAGE = "height, width"
 BUFFERS = (
@@ -114,3 +116,27 @@ def ports(spec: ModelSpec) -> Ports:
         for port in state
     ]
     return Ports(inputs=(*BUFFERS, *state), outputs=(picture, *left))
+
+
+_COLOR = {
+    ColorCurve.OIDN: "radiance times any exposure through Open Image Denoise's HDR curve, 0 to 1",
+    ColorCurve.LINEAR: "scene-linear radiance",
+}
+
+
+def spatial_ports(curve: ColorCurve) -> Ports:
+    """The input and the output of a graph of a frame alone."""
+    planes = Port(
+        name="planes",
+        shape=f"1, {PLANES}, {_IMAGE}",
+        unit="planes 0 to 2 color, 3 to 5 albedo, 6 to 8 normal",
+        convention=f"row 0 at the top; color is {_COLOR[curve]}, noisy; albedo 0 to 1, 0 where "
+        "nothing was hit; normals of length 1, or halved and moved to 0 to 1",
+    )
+    picture = Port(
+        name="denoised",
+        shape=f"1, 3, {_IMAGE}",
+        unit=f"color: {_COLOR[curve]}",
+        convention="row 0 at the top; finite, not negative",
+    )
+    return Ports(inputs=(planes,), outputs=(picture,))

@@ -19,6 +19,8 @@ from stillray.models.protobuf import WireError
 PORTS_KEY = "stillray.ports"
 #: Before ``.onnx`` in its name.
 FRAME_SUFFIX = ".frame"
+#: The same, of a graph that denoises each frame alone.
+SPATIAL_SUFFIX = ".spatial"
 _MAX_CHARACTERS = 2**18
 _MAX_PORTS = 64
 

@@ -14,7 +14,7 @@ from stillray.errors import InputError
 from stillray.model_spec.loader import ModelSpec, SpecError, from_json
 from stillray.model_spec.network_outputs import network_outputs
 from stillray.model_spec.network_weights import network_weights
-from stillray.models.frame_graph import FRAME_SUFFIX
+from stillray.models.frame_graph import FRAME_SUFFIX, SPATIAL_SUFFIX
 from stillray.models.network_graph import Interface
 from stillray.models.session import read_checked
 
@@ -107,7 +107,7 @@ UNLISTED = "unlisted"
 def _files(folder: str = "") -> dict[str, Path]:
     """Packaged models by name."""
     paths = sorted((_folder() / folder).glob("*.onnx"))
-    engines = (WHOLE_SUFFIX, FRAME_SUFFIX)
+    engines = (WHOLE_SUFFIX, FRAME_SUFFIX, SPATIAL_SUFFIX)
     return {path.stem: path for path in paths if not path.stem.endswith(engines)}
 
 
@@ -119,7 +119,7 @@ def read_model(path: Path) -> ModelInfo:
     InputError
         The file is missing, is not ONNX, or holds what `stillray-export` does not write.
     """
-    for suffix in (WHOLE_SUFFIX, FRAME_SUFFIX):
+    for suffix in (WHOLE_SUFFIX, FRAME_SUFFIX, SPATIAL_SUFFIX):
         if path.name.endswith(f"{suffix}.onnx"):
             raise InputError(
                 f"{path}: is for engines that embed ONNX Runtime; the model is "
