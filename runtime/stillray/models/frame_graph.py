@@ -1,7 +1,8 @@
 """What a frame graph's file says of its inputs and outputs; nothing of it is run.
 
 A frame graph is one ONNX file for a whole frame, with all stages and the state, for engines that
-embed ONNX Runtime themselves; ``stillray-export NAME --frame-graph`` makes it.
+embed ONNX Runtime themselves, and for `stillray.Denoiser` on a device; ``stillray-export NAME
+--frame-graph`` makes it.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stillray.errors import InputError
-from stillray.models.onnx_file import metadata_of, read_bytes
+from stillray.models.network_graph import OPERATORS as NETWORK_OPERATORS
+from stillray.models.onnx_file import metadata_of, operators_of, read_bytes
 from stillray.models.protobuf import WireError
 
 #: Metadata of the file that holds inputs and outputs as JSON.
@@ -21,6 +23,16 @@ PORTS_KEY = "stillray.ports"
 FRAME_SUFFIX = ".frame"
 #: The same, of a graph that denoises each frame alone.
 SPATIAL_SUFFIX = ".spatial"
+#: What its nodes may be, beside a network's: arithmetic and moves of numbers, no control flow.
+OPERATORS = frozenset(NETWORK_OPERATORS) | {
+    "Abs", "And", "AveragePool", "Cast", "Ceil", "ConstantOfShape", "DepthToSpace", "Div",
+    "Equal", "Exp", "Expand", "Flatten", "Floor", "Gather", "Greater", "GreaterOrEqual",
+    "Identity", "Less", "LessOrEqual", "Log", "MatMul", "Max", "Min", "Mod", "Neg", "Or", "Pad",
+    "Pow", "Range", "Reciprocal", "ReduceMax", "ReduceMean", "ReduceMin", "ReduceSum",
+    "Reshape", "Round", "Shape", "Softmax", "Sqrt", "Squeeze", "Sub", "Transpose", "Unsqueeze",
+    "Where",
+}  # fmt: skip
+_MAX_NODES = 10_000
 _MAX_CHARACTERS = 2**18
 _MAX_PORTS = 64
 
@@ -101,6 +113,29 @@ def read_ports(path: Path) -> Ports:
         return _ports(metadata[PORTS_KEY])
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: its inputs and outputs cannot be read: {error}") from None
+
+
+def checked_bytes(path: Path) -> bytes:
+    """The bytes of a frame graph that holds none but `OPERATORS`, and all of itself.
+
+    How much work and memory it takes is not known from that.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or holds what `stillray-export` does not write.
+    """
+    data = read_bytes(path)
+    try:
+        others = operators_of(data, _MAX_NODES) - OPERATORS
+    except WireError as error:
+        raise InputError(f"{path}: not a usable frame graph: {error}") from None
+    if others:
+        raise InputError(
+            f"{path}: not a usable frame graph: it holds operators that no export writes: "
+            f"{', '.join(sorted(others))}"
+        )
+    return data
 
 
 def _ports(text: str) -> Ports:

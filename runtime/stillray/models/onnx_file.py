@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from stillray.errors import InputError
-from stillray.models.protobuf import Field, Wire, WireError
+from stillray.models.protobuf import MAX_VALUES, Field, Wire, WireError
 
 #: Bytes of a file: forty times the largest that comes with stillray. Tensors lie within it.
 MAX_BYTES = 100 * 2**20
@@ -72,6 +72,7 @@ _ATTRIBUTE = {
     13: _text("doc_string"),
     20: Field("type", "int"),
 }
+_TENSOR_ATTRIBUTE = {5: Field("t", "bytes")}
 _ATTRIBUTE_TYPES = {1: "f", 2: "i", 3: "s", 6: "floats", 7: "ints"}
 _TENSOR = {
     1: _several("dims", "int"),
@@ -180,6 +181,31 @@ def metadata_of(data: bytes) -> dict[str, str]:
     """
     wire = Wire()
     return _metadata(wire, wire.decode("model", memoryview(data), _MODEL))
+
+
+def operators_of(data: bytes, most_nodes: int) -> frozenset[str]:
+    """The operators of a larger graph than a network's, whose tensors may be of any type.
+
+    Raises
+    ------
+    WireError
+        It is not ONNX, needs other libraries or files, holds graphs in its nodes, or too many.
+    """
+    wire = Wire(MAX_VALUES * most_nodes // MAX_NODES)
+    graph = wire.decode("graph", wire.decode("model", memoryview(data), _MODEL)["graph"], _GRAPH)
+    if len(graph["node"]) > most_nodes:
+        raise WireError(f"it has {len(graph['node'])} nodes, more than {most_nodes}")
+    for chunk in graph["initializer"]:
+        wire.decode("tensor", chunk, _TENSOR)  # one in another file has fields that this lacks
+    operators = set()
+    for chunk in graph["node"]:
+        node = wire.decode("node", chunk, _NODE)
+        if domain := node.get("domain", ""):
+            raise WireError(f"it needs the operator {node.get('op_type', '')} of {domain}")
+        for attribute in node["attribute"]:
+            wire.decode("attribute", attribute, _ATTRIBUTE | _TENSOR_ATTRIBUTE)
+        operators.add(node.get("op_type", ""))
+    return frozenset(operators)
 
 
 def _metadata(wire: Wire, model: Mapping[str, Any]) -> dict[str, str]:

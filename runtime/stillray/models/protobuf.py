@@ -42,10 +42,10 @@ class Field:
 
 
 class Wire:
-    """Decodes the messages of one file, and counts their values."""
+    """Decodes the messages of one file, and counts their values, of which there is a most."""
 
-    def __init__(self) -> None:
-        self._left = MAX_VALUES
+    def __init__(self, most: int = MAX_VALUES) -> None:
+        self._most = self._left = most
 
     def decode(self, what: str, data: memoryview, schema: Mapping[int, Field]) -> dict[str, Any]:
         """The fields of a message by name; those that are absent are absent, or empty lists.
@@ -135,7 +135,7 @@ class Wire:
     def _count(self, what: str, values: int = 1) -> None:
         self._left -= values
         if self._left < 0:
-            raise WireError(f"it holds more than {MAX_VALUES} values, the last of its {what}")
+            raise WireError(f"it holds more than {self._most} values, the last of its {what}")
 
 
 def _signed(value: int) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -14,8 +15,16 @@ from stillray.errors import InputError
 from stillray.model_spec.loader import ModelSpec, SpecError, from_json
 from stillray.model_spec.network_outputs import network_outputs
 from stillray.model_spec.network_weights import network_weights
-from stillray.models.frame_graph import FRAME_SUFFIX, SPATIAL_SUFFIX
-from stillray.models.network_graph import Interface
+from stillray.models.frame_graph import (
+    FRAME_SUFFIX,
+    SPATIAL_SUFFIX,
+    Ports,
+    find_frame_graph,
+    read_ports,
+)
+from stillray.models.network_graph import Interface, Planes
+from stillray.models.onnx_file import metadata_of, read_bytes
+from stillray.models.protobuf import WireError
 from stillray.models.session import read_checked
 
 SPEC_KEY = "stillray.spec"
@@ -45,6 +54,7 @@ class ModelInfo:
     provenance: dict[str, Any]
     spec: ModelSpec
     interface: Interface  # of its network
+    ports: Ports | None = None  # of a frame graph: what it takes and gives; None for a network
 
 
 def list_models() -> list[ModelInfo]:
@@ -126,17 +136,57 @@ def read_model(path: Path) -> ModelInfo:
                 f"{path.name.removesuffix(f'{suffix}.onnx')}.onnx"
             )
     file, interface = read_checked(path)
+    spec, provenance = _told(path, file.metadata)
+    return _info(path, len(file.data), interface, spec, provenance)
+
+
+def find_frame_model(name: str | os.PathLike[str]) -> ModelInfo:
+    """The model of a frame graph, by the graph's path; nothing of it is run.
+
+    Raises
+    ------
+    InputError
+        There is no such file: the message says how to make it. Or it is no frame graph.
+    """
+    path = find_frame_graph(str(name))
+    ports = read_ports(path)
+    data = read_bytes(path)
+    try:
+        spec, provenance = _told(path, metadata_of(data))
+    except WireError as error:
+        raise InputError(f"{path}: not a usable ONNX model: {error}") from None
+    # of the network within, its specification tells
+    planes = tuple(Planes(*each) for each in network_outputs(spec))
+    interface = Interface(
+        features=len(spec.network.features), outputs=planes, multiplications=float("nan")
+    )
+    return replace(_info(path, len(data), interface, spec, provenance), ports=ports)
+
+
+def is_frame_graph(name: str | os.PathLike[str]) -> bool:
+    """Whether a model is named by the path of a frame graph."""
+    return os.fspath(name).endswith(f"{FRAME_SUFFIX}.onnx")
+
+
+def _told(path: Path, metadata: Mapping[str, str]) -> tuple[ModelSpec, dict[str, Any]]:
+    """The specification and the provenance that a file carries."""
     for key in (SPEC_KEY, PROVENANCE_KEY):
-        if key not in file.metadata:
+        if key not in metadata:
             raise InputError(f"{path}: not a stillray model: no {key} in its metadata")
     try:
-        spec = from_json(file.metadata[SPEC_KEY])
+        spec = from_json(metadata[SPEC_KEY])
     except SpecError as error:
         raise InputError(f"{path}: its specification cannot be used: {error}") from None
     try:
-        provenance = _provenance(file.metadata[PROVENANCE_KEY])
+        provenance = _provenance(metadata[PROVENANCE_KEY])
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: its provenance cannot be used: {error}") from None
+    return spec, provenance
+
+
+def _info(
+    path: Path, size: int, interface: Interface, spec: ModelSpec, provenance: dict[str, Any]
+) -> ModelInfo:
     return ModelInfo(
         name=spec.name,
         family=spec.family,
@@ -144,7 +194,7 @@ def read_model(path: Path) -> ModelInfo:
         aliases=spec.aliases,
         path=path,
         parameters=provenance["parameters"],
-        size_bytes=len(file.data),
+        size_bytes=size,
         inputs=spec.inputs.required,
         optional_inputs=spec.inputs.optional,
         scores=provenance.get("scores", {}),
@@ -230,8 +280,11 @@ def with_overrides(
     Raises
     ------
     InputError
-        The model has not so many kernels, or the history is too short.
+        The model has not so many kernels, or the history is too short; or it is a frame graph,
+        whose settings are in its nodes.
     """
+    if info.ports is not None:
+        raise InputError(f"model must be a network to have other settings, got {info.path}")
     spec = info.spec
     if kernels is not None:
         sizes = spec.decoder.fused_sizes

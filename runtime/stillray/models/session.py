@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,8 @@ def checked(data: bytes, origin: Path | str) -> tuple[OnnxFile, Interface]:
 
 #: An execution provider of ONNX Runtime: its name, or its name and its options.
 Provider = str | tuple[str, Mapping[str, Any]]
+#: What runs unless others are asked for.
+CPU = "CPUExecutionProvider"
 
 
 class Network:
@@ -121,8 +123,8 @@ class Network:
             # in this thread, whose denormals stay as they are: they are the host's
             self._opened[graph] = ort.InferenceSession(
                 str(self._steps[graph]),
-                _options(self._threads),
-                providers=["CPUExecutionProvider"],
+                session_options(self._threads),
+                providers=[CPU],
             )
         return self._opened[graph]
 
@@ -150,7 +152,7 @@ class Running:
         try:
             outputs = self._future.result()
         except Exception as error:  # ONNX Runtime's own, without a common base
-            raise InputError(f"{self._path}: cannot be run: {_first_line(error)}") from None
+            raise InputError(f"{self._path}: cannot be run: {first_line(error)}") from None
         return {name: output[0] for name, output in zip(self._names, outputs, strict=True)}
 
 
@@ -224,31 +226,60 @@ def open_session(
     import onnxruntime as ort
 
     file, _ = read_checked(path)
-    chosen = providers or ("CPUExecutionProvider",)
-    wanted = [item if isinstance(item, str) else item[0] for item in chosen]
-    available = ort.get_available_providers()
-    if missing := [name for name in wanted if name not in available]:
-        raise InputError(f"providers must be among {', '.join(available)}, got {missing[0]}")
-    options = _options(threads)
+    options = session_options(threads, flush_denormals=flush_denormals)
     if trace is not None:
         options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
         options.enable_profiling = True
         options.profile_file_prefix = str(trace)
-    if flush_denormals:
-        options.add_session_config_entry("session.set_denormal_as_zero", "1")
+    # the very bytes that were checked
+    return start_session(file.data, path, options, providers)
+
+
+def start_session(
+    data: bytes, path: Path, options: Any, providers: tuple[Provider, ...] | None
+) -> Any:
+    """A session of a graph that was checked, on these providers or none.
+
+    Parameters
+    ----------
+    data
+        The graph.
+    path
+        What messages call it.
+    options
+        Of ONNX Runtime.
+    providers
+        As `open_session` takes them.
+
+    Raises
+    ------
+    InputError
+        ONNX Runtime refuses the graph, or a provider is not installed or does not start.
+    """
+    import onnxruntime as ort
+
+    chosen = providers or (CPU,)
+    wanted = provider_names(providers)
+    available = ort.get_available_providers()
+    if missing := [name for name in wanted if name not in available]:
+        raise InputError(f"providers must be among {', '.join(available)}, got {missing[0]}")
     try:
         given = [item if isinstance(item, str) else (item[0], dict(item[1])) for item in chosen]
-        # the very bytes that were checked
-        session = ort.InferenceSession(file.data, options, providers=given)
+        session = ort.InferenceSession(data, options, providers=given)
     except Exception as error:  # ONNX Runtime's own, without a common base
-        raise InputError(f"{path}: not a usable ONNX model: {_first_line(error)}") from None
+        raise InputError(f"{path}: not a usable ONNX model: {first_line(error)}") from None
     if (got := session.get_providers()[: len(wanted)]) != wanted:
         raise InputError(f"providers must all start, asked for {wanted}, got {got}")
     return session
 
 
-def _options(threads: int) -> Any:
-    """What all sessions have in common."""
+def provider_names(providers: Sequence[Provider] | None) -> list[str]:
+    """The names of providers, without their options."""
+    return [item if isinstance(item, str) else item[0] for item in providers or (CPU,)]
+
+
+def session_options(threads: int, *, flush_denormals: bool = False) -> Any:
+    """What all sessions have in common, and whether denormals are taken for zero."""
     import onnxruntime as ort
 
     options = ort.SessionOptions()
@@ -261,8 +292,10 @@ def _options(threads: int) -> Any:
     options.enable_mem_pattern = False
     # denoising is called between a host's own work: idle threads must not burn its cores
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    if flush_denormals:
+        options.add_session_config_entry("session.set_denormal_as_zero", "1")
     return options
 
 
-def _first_line(error: Exception) -> str:
+def first_line(error: Exception) -> str:
     return next(iter(str(error).splitlines()), type(error).__name__)

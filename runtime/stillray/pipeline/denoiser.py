@@ -23,9 +23,10 @@ from stillray.families.registry import FAMILIES
 from stillray.families.saved_state import read_arrays, write_arrays
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
-from stillray.models.registry import DEFAULT_MODEL, ModelInfo, find_model, steps_of
-from stillray.models.session import Network, Provider, WatchedEngine
+from stillray.models.registry import DEFAULT_MODEL, ModelInfo
+from stillray.models.session import Provider, WatchedEngine
 from stillray.pipeline.layers import validated
+from stillray.pipeline.opening import engine_of_model, family_of_model, model_of
 from stillray.pipeline.output import Target
 from stillray.pipeline.tiles import plan_tiles
 from stillray.pipeline.turns import Turns
@@ -40,12 +41,14 @@ class Denoiser:
     ----------
     model
         A quality (``"fast"``, ``"balanced"``, ``"high"``), a model's name, the path of an
-        .onnx file, or what `stillray.models.registry.with_overrides` gives.
+        .onnx file, or what `stillray.models.registry.with_overrides` gives. The path of a frame
+        graph, NAME.frame.onnx, runs all stages in that: on a device, with the state kept there.
     threads
         Threads to use, 1 or more, of which no more than this machine has processors are started;
         None for every processor that this process may use.
     providers
         ONNX Runtime execution providers: names, or names with their options; None for the CPU.
+        They run the network, and of a frame graph all.
     temporal
         Whether frames are accumulated; without, each is denoised alone.
     max_memory
@@ -84,19 +87,15 @@ class Denoiser:
         threads = _checked_threads(threads)
         if isinstance(providers, str):
             raise InputError(f"providers must be a sequence of names, got the string '{providers}'")
-        self.model = model if isinstance(model, ModelInfo) else find_model(model)
+        chosen = tuple(providers) if providers else None
+        self.model = model_of(model)
         self.temporal = temporal
         self.max_memory = max_memory
         #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
         self.last_timings: dict[str, float] = {}
-        self._family = self.families[self.model.family](self.model.spec)
+        self._family = family_of_model(self.model, self.families, chosen)
         #: Where the network runs.
-        self.engine: Engine = engine or Network(
-            self.model.path,
-            threads=threads,
-            providers=tuple(providers) if providers else None,
-            steps=steps_of(self.model.family),
-        )
+        self.engine: Engine = engine or engine_of_model(self.model, threads, chosen)
         self._owns_engine = engine is None
         self._turns = Turns()
         self._strips = Strips(threads)

@@ -1,0 +1,60 @@
+"""From a model's name to what runs it: a network between stages, or a graph of all of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+
+from stillray.families.contract import Engine, Family
+from stillray.families.frame_graph import FrameGraphModel
+from stillray.model_spec.loader import ModelSpec
+from stillray.models.frame_session import FrameSession, device_of
+from stillray.models.registry import (
+    ModelInfo,
+    find_frame_model,
+    find_model,
+    is_frame_graph,
+    steps_of,
+)
+from stillray.models.session import Network, Provider, provider_names
+
+Providers = tuple[Provider, ...] | None
+
+
+def model_of(model: str | os.PathLike[str] | ModelInfo) -> ModelInfo:
+    """A model that is named, or the path of whose network or frame graph is given.
+
+    Raises
+    ------
+    InputError
+        There is none: the message says which there are, or how to make a frame graph.
+    """
+    if isinstance(model, ModelInfo):
+        return model
+    return find_frame_model(model) if is_frame_graph(model) else find_model(model)
+
+
+def family_of_model(
+    model: ModelInfo, families: Mapping[str, Callable[[ModelSpec], Family]], providers: Providers
+) -> Family:
+    """What decides and steps for a model."""
+    if model.ports is None:
+        return families[model.family](model.spec)
+    device, number = device_of(providers)
+    memory = "main memory" if device == "cpu" else f"{device}:{number}"
+    where = f"{', '.join(provider_names(providers))}, its state kept in {memory}"
+    return FrameGraphModel(model.ports, where)
+
+
+def engine_of_model(model: ModelInfo, threads: int, providers: Providers) -> Engine:
+    """Where a model's graphs run.
+
+    Raises
+    ------
+    InputError
+        Its file cannot be used, or a provider is not there.
+    """
+    if model.ports is not None:
+        return FrameSession(model.path, threads=threads, providers=providers)
+    steps = steps_of(model.family)
+    return Network(model.path, threads=threads, providers=providers, steps=steps)
