@@ -11,9 +11,10 @@ demo: $(RUNTIME)/.ready
 	$(RUNTIME)/bin/python -m stillray.demo tests/data/room demo_out
 
 test: $(FULL)/.ready
-	@# files side by side, one process a core; a process with torch and Mitsuba takes 1 to 2 GiB;
-	@# the slowest and what was skipped, and why, come last
-	$(FULL)/bin/python -m pytest -n logical --maxprocesses 4 --dist loadfile --durations 15 -rs
+	@# files side by side, one process a core, so that torch and NumPy need no threads of their own;
+	@# a process with torch and Mitsuba takes 1 to 2 GiB; the slowest and what was skipped, and why,
+	@# come last
+	OMP_NUM_THREADS=1 $(FULL)/bin/python -m pytest -n logical --maxprocesses 4 --dist loadfile --durations 15 -rs
 
 check: $(FULL)/.ready
 	$(FULL)/bin/ruff check .

@@ -37,7 +37,7 @@ def test_results_come_in_order_and_errors_come_out(threads):
 
 
 def test_each_thread_has_scratch_of_its_own():
-    strips, barrier = Strips(2), threading.Barrier(2, timeout=30)
+    strips, barrier = Strips(2), threading.Barrier(2, timeout=300)
 
     def work(rows):
         mine = strips.workspace.array("x", (4,))

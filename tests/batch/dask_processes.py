@@ -22,7 +22,7 @@ def dask_processes(folder: Path, workers: int) -> Iterator[tuple[str, list[subpr
             [sys.executable, "-m", "distributed.cli." + args[0], *args[1:], "--no-dashboard"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            env={**os.environ, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "10s"},
+            env={**os.environ, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "60s"},
         )
         processes.append(process)
         return process

@@ -67,7 +67,7 @@ def test_steps_are_those_of_torch_in_float64(model, network, rng):
     begun = start(layout, model.spec.training.seed)[None]
     state = [begun.double(), *[torch.zeros_like(begun).double()] * 2]
     arrays = [tensor.float().numpy() for tensor in state]
-    for number in range(1, 6):
+    for number in range(1, 4):
         crop = {**lesson(rng), "rate": np.array([1e-3], np.float32)}
         crop["step"] = np.array([number], np.float32)
         given = dict(zip(("weights", "first", "second"), arrays, strict=True))
@@ -77,7 +77,7 @@ def test_steps_are_those_of_torch_in_float64(model, network, rng):
         value, *state = train_step(*state, **exact, how=how)
         assert float(found["loss"]) == pytest.approx(float(value), rel=1e-5)
     np.testing.assert_allclose(arrays[0], state[0].numpy(), atol=1e-5)
-    assert np.abs(arrays[0] - begun.numpy()).max() > 3e-3
+    assert np.abs(arrays[0] - begun.numpy()).max() > 2e-3
 
 
 def test_slopes_are_those_of_finite_differences(model, rng):

@@ -17,9 +17,9 @@ from tests.hard_cases.features import ON_DEMAND
 
 _HEAD = """# Hard cases
 
-Written by `python -m tests.hard_cases --report docs/hard-cases.md`. `tests/test_hard_cases.py` runs
-the same cases over every packaged model and every ONNX Runtime provider that is installed, and
-fails where a figure is above its limit: a new model is not done until it passes. Figures in bold
+Written by `python -m tests.hard_cases --report docs/hard-cases.md`. The suite runs the
+same cases over every packaged model and every ONNX Runtime provider that is installed, and fails
+where a figure is above its limit: a new model is not done until it passes. Figures in bold
 are above it; they are known, and listed with their reason below the table.
 
 Frames are 24x33 pixels unless a case says otherwise. "The surroundings" of a firefly are a wall and

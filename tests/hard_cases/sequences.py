@@ -22,17 +22,21 @@ from tests.hard_cases.case import (
     truth,
 )
 
-LONG = 1000
+ROUND = 100  # frames of a still camera, of noise of their own; then the same noise comes again
+_SETTLED = 20  # frames, after which a pixel holds all samples that it may
 
 
 @lru_cache(maxsize=4)
 def _still_camera(denoiser: stillray.Denoiser) -> dict[str, np.ndarray]:
-    """1,000 still frames: mean light of each picture, of what was accumulated, and the error."""
+    """Two rounds: mean light of each picture, of what was accumulated, and the error.
+
+    With the same noise in both, what differs is what the first has left, and not chance.
+    """
     spec = denoiser.model.spec
     plain, held = np.zeros((HEIGHT, WIDTH, 3)), 0.0
     found: dict[str, list[float]] = {"picture": [], "accumulated": [], "squared": []}
     denoiser.reset()
-    for seed in range(LONG):
+    for seed in (*range(ROUND), *range(ROUND)):
         frame = make_frame(HEIGHT, WIDTH, seed)
         image = denoiser.denoise(frame)
         held = min(held, spec.temporal.max_samples) + 1
@@ -43,9 +47,9 @@ def _still_camera(denoiser: stillray.Denoiser) -> dict[str, np.ndarray]:
     return {name: np.array(values) for name, values in found.items()}
 
 
-@case("a still camera for 1,000 frames: what is accumulated", "relative error of its light", 1e-3)
+@case("a still camera for 200 frames: what is accumulated", "relative error of its light", 1e-3)
 def still_camera_keeps_what_it_accumulates(denoiser: stillray.Denoiser) -> float:
-    return abs(float(_still_camera(denoiser)["accumulated"][20:].mean()) - 1)
+    return abs(float(_still_camera(denoiser)["accumulated"][_SETTLED:].mean()) - 1)
 
 
 _HIDDEN_BY_NOISE = (
@@ -60,30 +64,28 @@ _KERNELS_MOVE_LIGHT = (
 @case(
     "the same: the picture",
     "relative error of its light",
-    1e-3,
+    5e-4,
     kpyr_5=_KERNELS_MOVE_LIGHT,
     kpyr_5s=_KERNELS_MOVE_LIGHT,
-    nbg_2x3=_KERNELS_MOVE_LIGHT,
     nbg_7x3=_KERNELS_MOVE_LIGHT,
     wskp_3=_KERNELS_MOVE_LIGHT,
     wskp_6=_KERNELS_MOVE_LIGHT,
     wskp_mr=_KERNELS_MOVE_LIGHT,
 )
 def still_camera_keeps_its_light(denoiser: stillray.Denoiser) -> float:
-    return abs(float(_still_camera(denoiser)["picture"][20:].mean()) - 1)
+    return abs(float(_still_camera(denoiser)["picture"][_SETTLED:].mean()) - 1)
 
 
-# means over 480 frames of so small a picture are known to 0.3 % and 0.3 dB
-@case("the same: the second half against the first", "relative change of its light", 5e-3)
+@case("the same: the second half, of the same noise", "relative change of its light", 2e-3)
 def still_camera_does_not_drift(denoiser: stillray.Denoiser) -> float:
-    light = _still_camera(denoiser)["picture"]
-    return abs(float(light[500:].mean() / light[20:500].mean()) - 1)
+    first, second = np.split(_still_camera(denoiser)["picture"], 2)
+    return abs(float(second[_SETTLED:].mean() / first[_SETTLED:].mean()) - 1)
 
 
-@case("the same: the second half against the first", "dB of PSNR lost", 0.5)
+@case("the same: the second half, of the same noise", "dB of PSNR lost", 0.5)
 def still_camera_leaves_no_ghost(denoiser: stillray.Denoiser) -> float:
-    squared = _still_camera(denoiser)["squared"]
-    return float(10 * np.log10(squared[500:].mean() / squared[20:500].mean()))
+    first, second = np.split(_still_camera(denoiser)["squared"], 2)
+    return float(10 * np.log10(second[_SETTLED:].mean() / first[_SETTLED:].mean()))
 
 
 def _unlike_fresh(denoiser: stillray.Denoiser, past: list, after: list) -> float:
@@ -139,17 +141,19 @@ def texture_that_changes(denoiser: stillray.Denoiser) -> float:
     fresh = run(denoiser, painted(0.8, 0.2, 1))[0]
     run(denoiser, painted(0.2, 0.8, 12))
     last = 0
-    for index, frame in enumerate(painted(0.8, 0.2, 50), start=1):
+    for index, frame in enumerate(painted(0.8, 0.2, 24), start=1):
         if np.abs(denoiser.denoise(frame) - fresh).mean() > 0.1 * fresh.mean():
             last = index
     return float(last + 1)
 
 
-def _frames_to_follow(denoiser: stillray.Denoiser, before: float, after: float) -> float:
-    """Frames until the picture's mean is within 10 % of the new light, and stays."""
+def _frames_to_follow(
+    denoiser: stillray.Denoiser, before: float, after: float, count: int = 24
+) -> float:
+    """Frames, of ``count``, until the picture's mean is within 10 % of the new light, and stays."""
     run(denoiser, noisy(20, light=before))
     wanted, last = truth().mean() * after, 0
-    for index in range(1, 101):
+    for index in range(1, count + 1):
         (frame,) = noisy(1, first=100 + index, light=after)
         if abs(denoiser.denoise(frame).mean() / wanted - 1) > 0.1:
             last = index
@@ -168,7 +172,7 @@ def light_switched_off(denoiser: stillray.Denoiser) -> float:
 
 @case("a light dimmed to half", "frames until the picture is within 10 %", 35)
 def light_dimmed(denoiser: stillray.Denoiser) -> float:
-    return _frames_to_follow(denoiser, 1.0, 0.5)
+    return _frames_to_follow(denoiser, 1.0, 0.5, 60)
 
 
 @case(
@@ -221,10 +225,10 @@ def _past_beside_none(denoiser: stillray.Denoiser, samples: int, inside: float) 
             )
             wanted.append(0.5 * light)
         held = run(denoiser, frames)
-        alone = [run(denoiser, [frame])[0] for frame in frames]
+        alone = [run(denoiser, [frame])[0] for frame in frames[4:]]
         errors = [
-            np.sqrt(np.mean((np.array(images[4:]) - np.array(wanted[4:])) ** 2))
-            for images in (held, alone)
+            np.sqrt(np.mean((np.array(images) - np.array(wanted[4:])) ** 2))
+            for images in (held[4:], alone)
         ]
         worst = max(worst, float(errors[0] / errors[1]))
     return worst

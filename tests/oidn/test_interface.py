@@ -156,7 +156,7 @@ def test_a_forked_child_denoises_too():
     queue = context.Queue()
     child = context.Process(target=_denoise_in_child, args=(queue,), daemon=True)
     child.start()
-    np.testing.assert_array_equal(queue.get(timeout=60), parents)
+    np.testing.assert_array_equal(queue.get(timeout=300), parents)
     child.join()
 
 

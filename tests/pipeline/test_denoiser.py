@@ -482,7 +482,7 @@ def test_a_forked_child_is_told_so_instead_of_waiting_for_ever():
     with stillray.Denoiser("fast", threads=2) as denoiser:
         child = context.Process(target=_use_in_child, args=(denoiser, queue), daemon=True)
         child.start()
-        assert "made in the process that uses it" in queue.get(timeout=60)
+        assert "made in the process that uses it" in queue.get(timeout=300)
         child.join()
 
 

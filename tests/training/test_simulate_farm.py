@@ -55,7 +55,7 @@ def test_a_killed_worker_loses_nothing_and_nothing_is_rendered_twice(scheduler, 
     killer.join()
     assert failures == {}
     assert sorted(done) == list(range(6))
-    assert workers[0].wait(timeout=60) == -signal.SIGKILL
+    assert workers[0].wait(timeout=300) == -signal.SIGKILL
     folders = sorted(root.iterdir())
     assert [folder.name for folder in folders] == [f"tabletop-{seed:04d}-0" for seed in range(6)]
     assert all(is_complete(folder) for folder in folders)

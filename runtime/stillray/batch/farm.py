@@ -20,7 +20,7 @@ from stillray.errors import InputError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_ANSWER_SECONDS = 10  # in which a scheduler must answer
+ANSWER_SECONDS = 10  # in which a scheduler must answer
 #: Dask looks at itself a hundred times a second, which takes six per cent of a core from tasks of
 #: minutes.
 _QUIET = {"distributed.admin.tick.interval": "1s", "distributed.worker.profile.enabled": False}
@@ -121,7 +121,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[tuple[Any, int]]:
 
     if scheduler is not None:
         try:
-            client = Client(scheduler, timeout=_ANSWER_SECONDS)
+            client = Client(scheduler, timeout=ANSWER_SECONDS)
         except (OSError, ValueError) as error:
             raise InputError(f"scheduler must answer, got {scheduler}: {error}") from None
         with client:

@@ -1,0 +1,13 @@
+"""The hard cases of the features and the network, for every packaged model and provider."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.hard_cases.check import check
+from tests.hard_cases.features import CASES
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_hard_case_stays_within_its_limit(case, denoiser, request):
+    check(case, denoiser, request)
