@@ -14,6 +14,7 @@ import stillray
 from stillray import cli
 from stillray.cli import main
 from stillray.io.exr.read_write import read_exr, read_metadata, write_channels
+from stillray.model_spec import load
 
 HEIGHT, WIDTH = 33, 18
 GAPPY = ("shot.####.exr", "--on-missing", "skip")
@@ -306,6 +307,22 @@ def test_models_table_has_a_line_a_model(capsys):
     text = capsys.readouterr().out
     for model in stillray.list_models():
         assert any(model.name in line and model.family in line for line in text.splitlines())
+
+
+@pytest.mark.parametrize("flag", ["-v", "--verbose"])
+def test_models_verbose_tells_what_each_does_otherwise_than_its_paper(flag, capsys):
+    assert main(["models", flag]) == 0
+    text = capsys.readouterr().out
+    for model in stillray.list_models():
+        _, _, told = text.partition(f"\n{model.name}: ")
+        lines = told.split("\n\n")[0].splitlines()
+        assert lines[2:] == [f"- {difference}" for difference in load(model.name).differs]
+        assert len(lines) > 4
+
+
+def test_models_are_listed_without_their_differences_unless_asked(capsys):
+    assert main(["models"]) == 0
+    assert "; here " not in capsys.readouterr().out
 
 
 def test_help_names_the_commands(capsys):

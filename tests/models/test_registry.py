@@ -1,13 +1,15 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from stillray.errors import InputError
+from stillray.model_spec import load
 from stillray.models import registry
-from stillray.models.registry import find_model, list_models, qualities
+from stillray.models.registry import differences, find_model, list_models, qualities
 
 
 def test_a_quality_opens_one_file(monkeypatch):
@@ -29,6 +31,18 @@ def test_qualities_are_the_aliases_that_the_files_and_the_specifications_hold():
     folder = Path(__file__).parents[2] / "models_spec"
     specs = [tomllib.loads(path.read_text()) for path in folder.glob("*.toml")]
     assert qualities() == {alias: spec["name"] for spec in specs for alias in spec["aliases"]}
+
+
+def test_differences_are_the_file_s_own_or_those_of_the_same_specification():
+    model = find_model("wskp-3")
+    spec = replace(model.spec, differs=())
+    assert differences(replace(model, spec=spec)) == load("wskp-3").differs != ()
+    own = ("the paper says one thing; here is another",)
+    assert differences(replace(model, spec=replace(spec, differs=own))) == own
+    # of the same name, and another model
+    other = replace(spec, temporal=replace(spec.temporal, max_samples=8.0))
+    assert differences(replace(model, spec=other)) == ()
+    assert differences(replace(model, name="mine", spec=replace(spec, name="mine"))) == ()
 
 
 def test_a_file_is_named_as_its_model_is():

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
 
 def models(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option("-v", "--verbose", help="Also how each differs from the paper it follows."),
+    ] = False,
 ) -> None:
     """List the models: inputs, size and validation scores."""
     from stillray.models.registry import list_models
@@ -22,9 +26,13 @@ def models(
         print(json.dumps([_as_dict(model) for model in found], indent=2))
     else:
         _print_table(found)
+        if verbose:
+            _print_differences(found)
 
 
 def _as_dict(model: ModelInfo) -> dict[str, Any]:
+    from stillray.models.registry import differences
+
     return {
         "name": model.name,
         "family": model.family,
@@ -35,6 +43,7 @@ def _as_dict(model: ModelInfo) -> dict[str, Any]:
         "parameters": model.parameters,
         "size_bytes": model.size_bytes,
         "scores": dict(model.scores),
+        "differs": list(differences(model)),
         "path": str(model.path),
     }
 
@@ -62,3 +71,12 @@ def _print_table(found: list[ModelInfo]) -> None:
             *(f"{model.scores[s]:.4g}" if s in model.scores else "-" for s in scores),
         )
     console().print(table)
+
+
+def _print_differences(found: list[ModelInfo]) -> None:
+    from stillray.models.registry import differences
+
+    for model in found:
+        print(f"\n{model.name}: {model.summary}\nWhat the paper says, and what it does here:")
+        for difference in differences(model):
+            print(f"- {difference}")

@@ -451,6 +451,9 @@ class ModelSpec:
     network: ImportanceNetwork | PyramidNetwork | GuideNetwork | FilterNetwork | BranchNetwork
     decoder: FusedKernels | PyramidKernels | BilateralGrids | CrossBilateral | FeatureFilters
     training: Training
+    # How it differs from the paper it follows, "what the paper says; here what is done". Prose:
+    # no part of what a model is, and models that were exported before it was known lack it.
+    differs: tuple[str, ...] = dataclasses.field(default=(), compare=False)
 
     @property
     def knows_samples(self) -> bool:
@@ -487,7 +490,10 @@ class ModelSpec:
 
     def to_json(self) -> str:
         """The spec as JSON text, as it is embedded in a model file."""
-        return json.dumps(dataclasses.asdict(self), sort_keys=True)
+        data = dataclasses.asdict(self)
+        if not self.differs:  # as before it was known
+            del data["differs"]
+        return json.dumps(data, sort_keys=True)
 
 
 FAMILIES = {

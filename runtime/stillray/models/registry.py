@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from stillray.errors import InputError
-from stillray.model_spec.loader import ModelSpec, SpecError, from_json
+from stillray.model_spec.loader import ModelSpec, SpecError, from_json, load
 from stillray.model_spec.network_outputs import network_outputs
 from stillray.model_spec.network_weights import network_weights
 from stillray.models.frame_graph import (
@@ -98,6 +98,21 @@ def find_model(name: str | os.PathLike[str]) -> ModelInfo:
         f"model must be one of {', '.join([*files, *aliases])} or the path of an .onnx file, "
         f"got {name}"
     )
+
+
+def differences(model: ModelInfo) -> tuple[str, ...]:
+    """How a model differs from the paper it follows, a sentence each.
+
+    Files that were exported before specifications said so have it from the packaged specification
+    of their name, if they are otherwise of the same one; else there are none.
+    """
+    if model.spec.differs:
+        return model.spec.differs
+    try:
+        packaged = load(model.name)
+    except SpecError:
+        return ()
+    return packaged.differs if packaged == model.spec else ()
 
 
 def steps_of(family: str) -> dict[str, Path]:

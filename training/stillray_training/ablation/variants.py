@@ -180,6 +180,7 @@ def _with(
         spec,
         name=name,
         aliases=(),
+        differs=(),  # prose about the model that is shipped
         network=dataclasses.replace(
             spec.network,
             widths=(_WIDTH,) * (blocks - 1),
@@ -200,6 +201,7 @@ def _multi_resolution(base: ModelSpec) -> ModelSpec:
     return dataclasses.replace(
         spec,
         aliases=(),
+        differs=(),
         inputs=base.inputs,
         demodulate=base.demodulate,
         transfer=base.transfer,
