@@ -1,0 +1,131 @@
+"""Networks beside the text of their papers: layers, filters, branches, outputs and weights."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import pairwise
+from math import prod
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from stillray.model_spec import load  # noqa: E402
+from stillray.model_spec.network_weights import network_weights  # noqa: E402
+from stillray_training.ablation import variants  # noqa: E402
+from stillray_training.families import FAMILIES  # noqa: E402
+from stillray_training.networks.fuse import fuse  # noqa: E402
+from stillray_training.networks.multi_branch import multi_branch_net  # noqa: E402
+from stillray_training.networks.repvgg import RepVGGBlock  # noqa: E402
+
+FEATURES = 12  # the papers have ten: docs/differences.md
+STUDY = {variant.name: variant for variant in variants.study()}
+
+
+def network(name):
+    spec = load(name)
+    return FAMILIES[spec.family].network(spec)
+
+
+def convolutions(module):
+    """Of a network, ``(outputs, inputs, size)`` in the order in which they were made."""
+    return [
+        (one.out_channels, one.in_channels, one.kernel_size[0])
+        for one in module.modules()
+        if isinstance(one, torch.nn.Conv2d)
+    ]
+
+
+def blocks(module):
+    return [one for one in module.modules() if isinstance(one, RepVGGBlock)]
+
+
+def weights(module):
+    return sum(one.numel() for one in module.parameters())
+
+
+def of_convolution(inputs, outputs, *sizes):
+    """Weights of convolutions side by side, a bias each."""
+    return sum(inputs * outputs * size**2 + outputs for size in sizes)
+
+
+def test_wskp_6_is_six_blocks_of_three_convolutions_and_an_identity():
+    # section 4.1: 1x1, 3x3, 5x5 and identity branches, after training one 5x5 convolution;
+    # supplement 1.1: the identity only where outputs equal inputs;
+    # section 5.3: six importance maps and as many of averaging weights
+    widths = [FEATURES, 16, 16, 16, 16, 16, 12]
+    made = network("wskp-6")
+    assert [sorted(one.kernel_size[0] for one in block.branches()) for block in blocks(made)] == [
+        [1, 3, 5]
+    ] * 6
+    assert [block.identity for block in blocks(made)] == [a == b for a, b in pairwise(widths)]
+    assert convolutions(fuse(made)) == [(b, a, 5) for a, b in pairwise(widths)]
+    assert weights(made) == sum(of_convolution(a, b, 5, 3, 1) for a, b in pairwise(widths))
+    assert weights(fuse(made)) == sum(of_convolution(a, b, 5) for a, b in pairwise(widths))
+
+
+def test_predicting_kernels_takes_169_outputs_and_nearly_three_times_the_weights():
+    # section 3: 169 kernels of the last layer; section 7.1: nearly 3x larger, without its branches
+    ours, peer = (fuse(one.family.network(one.spec)) for one in (STUDY["wskp-6"], STUDY["KP"]))
+    assert [outputs for outputs, _, _ in convolutions(peer)] == [16] * 5 + [169]
+    assert 2.5 < weights(peer) / weights(ours) < 3
+
+
+def test_three_layers_are_as_in_the_paper_in_the_study_and_on_squares_where_shipped():
+    study = fuse(STUDY["wskp-3"].family.network(STUDY["wskp-3"].spec))
+    assert convolutions(study) == [(16, FEATURES, 5), (16, 16, 5), (12, 16, 5)]
+    # twelve logits for each of four pixels
+    assert convolutions(fuse(network("wskp-3"))) == [(32, 8, 6), (32, 32, 3), (48, 32, 3)]
+    assert len(blocks(network("wskp-3"))) == 3
+
+
+def test_wskp_mr_is_a_u_net_with_a_head_at_each_of_three_resolutions():
+    # section 5.2 and supplement 1.2: three resolutions, a layer more at each, which gives the
+    # importance of kernels of 3x3 and 5x5, their shares, and what the coarser level is blended by
+    spec = load("wskp-mr")
+    assert spec.decoder.kernel_sizes == (3, 5)
+    made = network("wskp-mr")
+    features = torch.zeros(1, FEATURES, 16, 24)
+    assert [tuple(one.shape[1:]) for one in made(features)] == [
+        (5, 16, 24), (5, 8, 12), (4, 4, 6),
+    ]  # fmt: skip
+    strides = [one for one in made.modules() if getattr(one, "stride", 1) == (2, 2)]
+    assert len(strides) == 2
+    assert weights(fuse(made)) == 144_094
+
+
+@pytest.mark.parametrize(("name", "grids"), [("nbg-2x1", 1), ("nbg-2x3", 3)])
+def test_the_small_guide_net_is_two_layers_of_twenty_filters_and_the_maps(name, grids):
+    # figure 2, left, and section 4.1: 5x5; three guides and two weights, one guide of one grid
+    maps = 2 * grids - 1
+    assert convolutions(fuse(network(name))) == [(20, FEATURES, 5), (maps, 20, 5)]
+    assert weights(fuse(network(name))) == of_convolution(FEATURES, 20, 5) + of_convolution(
+        20, maps, 5
+    )
+
+
+def test_the_large_guide_net_has_a_dense_block_of_five_layers():
+    # figure 2, right, and section 4.1: seven layers of 5x5, five of which see all before them
+    made = fuse(network("nbg-7x3"))
+    entry, *dense, last = convolutions(made)
+    assert entry == (20, FEATURES, 5)
+    assert dense == [(10, 20 + 10 * before, 5) for before in range(5)]
+    assert last == (5, 70, 5)
+    assert weights(made) == sum(of_convolution(a, b, size) for b, a, size in convolutions(made))
+
+
+def test_partial_convolutions_have_the_paper_s_weights_and_full_ones_more():
+    spec = load("munet-x2")
+    full = dataclasses.replace(spec, network=dataclasses.replace(spec.network, partial=False))
+    assert weights(fuse(multi_branch_net(spec))) == 644_537  # table 3: 0.644 million
+    # table 5 has 1.05 million: docs/differences.md
+    assert weights(fuse(multi_branch_net(full))) == 1_958_489
+
+
+def test_the_network_that_learns_online_has_30_thousand_weights():
+    # section 4.4: two poolings, 8, 16, 32, 16 and 8 filters of 3x3, and 1x1 to six parameters
+    shapes = [shape for _, shape in network_weights(load("online")) if len(shape) == 4]
+    assert [shape[0] for shape in shapes] == [8, 8, 16, 16, 32, 32, 16, 16, 8, 8, 6]
+    assert [shape[2] for shape in shapes] == [3] * 10 + [1]
+    biases = sum(shape[0] for shape in shapes)
+    assert round(sum(prod(shape) for shape in shapes) + biases, -4) == 30_000
