@@ -28,7 +28,6 @@ def prepare(size: tuple[int, int]) -> Any:
     scene.cycles.use_animated_seed = False
     scene.render.use_motion_blur = False
     scene.render.use_persistent_data = True
-    scene.render.threads_mode, scene.render.threads = "FIXED", 1
     scene.render.resolution_x, scene.render.resolution_y = size
     scene.render.resolution_percentage = 100
     layer = scene.view_layers[0]
