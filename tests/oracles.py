@@ -168,7 +168,11 @@ def kernel_pyramid(
         for image in (mean, np.moveaxis(sample, 0, -1))
     )
     light, held = np.zeros_like(padded[..., :3]), np.zeros(full)
-    # weights of neighbours of the finest level come last
+    # of the finest level what its filters compare and weigh by comes last, weights of neighbours
+    # before
+    filters = options.filter_features + 2 * len(options.finest_filters)
+    compared = weights[0][len(weights[0]) - filters :]
+    weights[0] = weights[0][: len(weights[0]) - filters]
     finest, extra = weights[0], 8 * len(options.finest_neighbours)
     weights[0] = finest[: len(finest) - extra]
     for y, x in np.ndindex(*full):
@@ -227,6 +231,10 @@ def kernel_pyramid(
                     shares.append(own[8 * (place - len(distances)) + index, y, x])
             blended[y, x] = np.average(choices, axis=0, weights=shares)
         result = blended
+    for index, distance in enumerate(options.finest_filters):
+        features = np.log(compared[: options.filter_features])
+        pair = compared[options.filter_features + 2 * index :][:2]
+        result = _by_likeness(result, features, pair[0], pair[1], distance)
     radiance = result[:height, :width] * albedo
     resolved = np.zeros_like(radiance)
     for y, x in np.ndindex(height, width):
@@ -238,6 +246,24 @@ def kernel_pyramid(
             shares.append(weights[0][-10 + index, y, x])
         resolved[y, x] = np.average(choices, axis=0, weights=shares)
     return resolved
+
+
+def _by_likeness(
+    light: np.ndarray, features: np.ndarray, weight: np.ndarray, own: np.ndarray, distance: int
+) -> np.ndarray:
+    """`gaussian.gaussian`, pixel by pixel: light ``(h, w, 3)``, features ``(k, h, w)``."""
+    result = np.zeros_like(light)
+    for y, x in np.ndindex(*weight.shape):
+        choices, shares = [light[y, x]], [own[y, x]]
+        for down, right in np.ndindex(3, 3):
+            there = (y + distance * (down - 1), x + distance * (right - 1))
+            inside = all(0 <= a < size for a, size in zip(there, weight.shape, strict=True))
+            if inside and there != (y, x):
+                apart = ((features[:, y, x] - features[:, there[0], there[1]]) ** 2).sum()
+                choices.append(light[there])
+                shares.append(weight[there] * np.exp(-min(apart, 60)))
+        result[y, x] = np.average(choices, axis=0, weights=shares)
+    return result
 
 
 def multi_resolution_kernels(

@@ -102,6 +102,43 @@ def test_weights_of_the_finest_levels_neighbours_equal_the_loop_oracle(height, w
         np.testing.assert_allclose(got, expected, rtol=5e-6)
 
 
+@pytest.mark.parametrize("distances", [(1,), (2, 1), (40,), (4, 2, 1)])
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 1), (9, 14), (41, 18)])
+def test_filters_of_the_finest_level_equal_the_loop_oracle(height, width, distances):
+    options = dataclasses.replace(
+        OPTIONS, finest_neighbours=(2,), finest_filters=distances, filter_features=3
+    )
+    inputs = draw(height, width, options=options)
+    expected = oracles.kernel_pyramid(*inputs, options)
+    for strips in (Strips(1), Strips(3), Strips(1, pixels=64)):
+        np.testing.assert_allclose(filtered(*inputs, options, strips), expected, rtol=5e-6)
+
+
+def test_filters_follow_what_looks_alike_and_stop_at_the_rest():
+    options = dataclasses.replace(
+        OPTIONS, kernel_sizes=(1,), finest_kernels=False, predicted=False, finest_neighbours=(),
+        finest_filters=(4, 2, 1), filter_features=1, logit_bound=12.0,
+    )  # fmt: skip
+    height, width = 24, 32
+    layout = level_layout(0, 2, options)
+    logits = [
+        np.zeros((layout.filters.stop, height, width), np.float32),
+        np.zeros((level_layout(1, 2, options).double.stop, height // 2, width // 2), np.float32),
+    ]
+    rim = (slice(None), slice(10, 12))  # two columns, of a light of their own
+    logits[0][layout.blend][0] = 12  # of the blend itself alone
+    logits[0][layout.resolve] = logits[0][layout.sample_blend] = -1e9
+    logits[0][layout.features][0][rim] = 8
+    light = np.ones((height, width, 3), np.float32)
+    light[rim] = 50 * np.random.default_rng(1).uniform(0.5, 1.5, (height, 2, 1))
+    mean = np.dstack([light, np.ones((height, width), np.float32)])
+    got = filtered(mean, None, None, None, logits, options, Strips(1))
+    beside = np.delete(got, np.r_[10:12], axis=1)
+    np.testing.assert_allclose(beside, 1, rtol=1e-3)  # e^-24 of the blend is the coarser level's
+    assert got[rim].std() < 0.35 * light[rim].std()
+    np.testing.assert_allclose(got[rim].mean(), light[rim].mean(), rtol=0.03)
+
+
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (9, 14), (150, 70)])
 def test_logits_that_come_by_blocks_are_those_of_the_pixels(height, width):
     *buffers, logits = draw(height, width)
@@ -115,8 +152,9 @@ def test_logits_that_come_by_blocks_are_those_of_the_pixels(height, width):
 def coarser_alone(light, beside, above):
     """A finest level that takes nothing but the coarser one, of this light and these logits."""
     options = dataclasses.replace(
-        OPTIONS, kernel_sizes=(1,), finest_kernels=False, predicted=False, finest_neighbours=()
-    )
+        OPTIONS, kernel_sizes=(1,), finest_kernels=False, predicted=False, finest_neighbours=(),
+        finest_filters=(), filter_features=0,
+    )  # fmt: skip
     height, width = light.shape[:2]
     fine = np.repeat(np.repeat(light, 2, 0), 2, 1)
     layouts = [level_layout(level, 2, options) for level in range(2)]

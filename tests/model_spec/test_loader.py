@@ -140,3 +140,20 @@ def test_a_multi_resolution_model_does_not_work_on_blocks():
     data["network"]["block"] = 2
     with pytest.raises(SpecError, match=r"network.block must be in \[1, 1\], got 2"):
         parse(data)
+
+
+@pytest.mark.parametrize(
+    ("filters", "features", "message"),
+    [
+        ([4, 1], 0, r"decoder.filter_features must be in \[1, 32\], got 0"),
+        ([4, 1], 33, r"decoder.filter_features must be in \[1, 32\], got 33"),
+        ([], 6, r"decoder.filter_features must be in \[0, 0\], got 6"),
+        ([4, 0], 6, r"decoder.finest_filters .*got .*0"),
+        ([64], 6, r"decoder.finest_filters .*got .*64"),
+    ],
+)
+def test_filters_and_their_features_belong_together(filters, features, message):
+    data = json.loads(load("kpyr-5").to_json())
+    data["decoder"] |= {"finest_filters": filters, "filter_features": features}
+    with pytest.raises(SpecError, match=message):
+        from_json(json.dumps(data))

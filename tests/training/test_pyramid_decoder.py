@@ -23,9 +23,15 @@ def _nchw(image):
 @pytest.mark.parametrize("finest", [True, False])
 @pytest.mark.parametrize("predicted", [True, False])
 @pytest.mark.parametrize("distances", [(), (1, 2)])
-def test_the_twin_equals_the_runtime(finest, predicted, distances):
+@pytest.mark.parametrize("filters", [(), (4, 1)])
+def test_the_twin_equals_the_runtime(finest, predicted, distances, filters):
     options = dataclasses.replace(
-        OPTIONS, finest_kernels=finest, predicted=predicted, finest_neighbours=distances
+        OPTIONS,
+        finest_kernels=finest,
+        predicted=predicted,
+        finest_neighbours=distances,
+        finest_filters=filters,
+        filter_features=3 * bool(filters),
     )
     mean, sample, albedo, previous, logits = draw(16, 24, options=options)
     light = Filterable(mean=mean, sample=sample, remodulation_albedo=albedo, previous=previous)

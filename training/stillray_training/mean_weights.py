@@ -7,6 +7,7 @@ both well (Wortsman et al. 2022, Robust fine-tuning of zero-shot models).
 
 from __future__ import annotations
 
+import copy
 import json
 import shutil
 from pathlib import Path
@@ -22,7 +23,6 @@ from stillray.errors import InputError
 from stillray.io.atomic import atomic_path
 from stillray.model_spec import from_json
 from stillray_training.checkpoint import CHECKPOINT, load_network
-from stillray_training.families import FAMILIES
 from stillray_training.start import STARTED_FROM, start_from
 
 
@@ -34,7 +34,8 @@ def mean_weights(run: Path, before: str, share: float, out: Path) -> None:
     run
         Folder of a training run.
     before
-        Another model of the same network, see `stillray_training.start.read_start`.
+        Another model of the same network, which may give fewer logits, see
+        `stillray_training.start.read_start`.
     share
         Of the run's weights in the mean, [0, 1].
     out
@@ -51,7 +52,7 @@ def mean_weights(run: Path, before: str, share: float, out: Path) -> None:
         metadata = file.metadata()
     spec = from_json(metadata["spec"])
     network, _ = load_network(spec, run / CHECKPOINT)
-    other = FAMILIES[spec.family].network(spec)
+    other = copy.deepcopy(network)  # logits that the other model does not give stay the run's
     origin = start_from(before, other, spec)
     earlier = other.state_dict()
     mean = {

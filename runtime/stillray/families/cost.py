@@ -34,6 +34,9 @@ def kernel_pyramid_cost(levels: int, options: PyramidKernels) -> tuple[float, fl
         neighbours = 8 * (1 + 3 * 2) * len(level_layout(level, levels, options).distances)
         operations += share * (logits * EXP + kernels + 3 * 4 + 4 * 2 + doubled + neighbours)
         planes += share * (logits + 4 + 4)  # light read and the level's result written
+    for _ in options.finest_filters:  # a distance serves both of its pixels
+        operations += 4 * (3 * options.filter_features + EXP) + 8 * (2 + 3 * 2) + 3
+        planes += 3 + options.filter_features + 2 + 3
     resolve = 9 * (1 + 3 * 2) + 3 + 3  # eight neighbours and the past; normalised, modulated
     return operations + resolve, planes
 

@@ -31,12 +31,10 @@ from stillray.arrays.strips import Strips, planes_of, with_halo
 from stillray.arrays.workspace import Workspace
 from stillray.families.depth_to_space import DepthToSpace
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
-from stillray.families.pyramid_logits import NEIGHBOURS
+from stillray.families.gaussian import Weights, gaussian
 from stillray.model_spec.loader import Demodulate, FeatureFilters
 from stillray.stages.demodulate import demodulation_albedo
 
-#: Squared distances beyond it weigh as it does, 1e-26: their exponentials would be denormal.
-MOST_DISTANCE = 60.0
 _PLANES = 9  # light over diffuse albedo, over specular albedo, and as it is
 
 
@@ -145,51 +143,6 @@ def reconstruct(
     return image, accumulated
 
 
-def gaussian(
-    values: np.ndarray,
-    features: np.ndarray,
-    weight: np.ndarray,
-    out: np.ndarray,
-    workspace: Workspace,
-) -> None:
-    """Weighted means of 3x3 pixels, whose weights fall with the distance of features.
-
-    Parameters
-    ----------
-    values : (c, h + 2, w + 2) float32
-        With a border of one pixel.
-    features : (k, h + 2, w + 2) float32
-    weight : (h + 2, w + 2) float32
-        A pixel's own, >= 0; 0 where the border lies outside of the frame, above 0 elsewhere.
-    out : (c, h, w) float32
-        Written.
-    workspace
-        Where temporaries lie.
-    """
-    height, width = out.shape[1:]
-    inner = (slice(1, 1 + height), slice(1, 1 + width))
-    total = workspace.array("total", (height, width))
-    share, apart = (workspace.array(name, (height, width)) for name in ("share", "apart"))
-    np.copyto(total, weight[inner])
-    for plane, sums in zip(values, out, strict=True):
-        np.multiply(plane[inner], total, out=sums)
-    for down, right in NEIGHBOURS:
-        place = (slice(1 + down, 1 + down + height), slice(1 + right, 1 + right + width))
-        share.fill(0)
-        for plane in features:
-            np.subtract(plane[inner], plane[place], out=apart)
-            cv2.accumulateSquare(apart, share)
-        np.minimum(share, np.float32(MOST_DISTANCE), out=share)
-        np.negative(share, out=share)
-        cv2.exp(share, dst=share)
-        share *= weight[place]
-        total += share
-        for plane, sums in zip(values, out, strict=True):
-            cv2.accumulateProduct(plane[place], share, sums)
-    np.reciprocal(total, out=total)
-    out *= total
-
-
 class _Reconstruction:
     """One frame's reconstruction: what its steps share."""
 
@@ -266,7 +219,8 @@ class _Reconstruction:
             own = self._bounded(maps[planes.importance, near])
             weight[0, filled, 1:-1] = cv2.exp(own).reshape(own.shape)
             out = workspace.array("filtered", (channels, high - 2, width))
-            gaussian(values, features, weight[0], out, workspace)
+            weights = Weights(features, weight[0], weight[0, 1:-1, 1:-1])
+            gaussian(values, weights, out, workspace)
             finish(rows, out)
 
         strips.run(work, height, width)

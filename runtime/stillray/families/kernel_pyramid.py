@@ -3,7 +3,8 @@
 differs: Fan et al. 2021, section 5.2, blend a U-Net's resolutions by eq. 7. Here the weights of a
 coarser level come from the finer one, the blend is one softmax over what a pixel can take (itself,
 its kernels, its neighbours, the coarser level, which is doubled by shares of the network's own),
-and the re-modulated result is resolved with its neighbours and the previous output, which smooths
+the finest level is filtered along what looks alike (see `stillray.families.finest_filters`), and
+the re-modulated result is resolved with its neighbours and the previous output, which smooths
 edges as supersampling would and holds the picture still. Every step is a convex combination: no
 light is invented.
 """
@@ -11,7 +12,7 @@ light is invented.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -23,6 +24,7 @@ from stillray.arrays.workspace import Workspace
 from stillray.families.box_filter import bounded_exp, box_means
 from stillray.families.cost import kernel_pyramid_cost
 from stillray.families.depth_to_space import DepthToSpace
+from stillray.families.finest_filters import filter_finest
 from stillray.families.pyramid_logits import NEIGHBOURS, LevelLayout, level_layout
 from stillray.families.pyramid_upsample import Doubled
 from stillray.families.temporal_kernels import Looks, TemporalKernels
@@ -63,8 +65,9 @@ class KernelPyramidModel(TemporalKernels):
         # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, and the resolve
         radii = (size // 2 for size in spec.decoder.kernel_sizes)
         radius = max(*radii, *spec.decoder.finest_neighbours, int(spec.decoder.predicted))
+        filters = sum(spec.decoder.finest_filters)
         looks = Looks(
-            reach=3 * (coarsest - 1) + radius * coarsest + 1,
+            reach=3 * (coarsest - 1) + radius * coarsest + filters + 1,
             receptive_field=receptive_field(spec.network),
             alignment=coarsest,
             sample=True,
@@ -146,6 +149,13 @@ def _filtered(
         coarser = Doubled(blended, logits[level][layout.double], options)
     image = np.empty((height, width, 3), np.float32)
     top = _Level(pyramid[0], coarser, maps[0], finest, options)
+    if finest.filter_distances:
+        bound, size = options.logit_bound, pyramid[0].shape[1:]
+        filtered = filter_finest(
+            lambda rows, out: top.blend(rows, out, strips.workspace),
+            (size[0], size[1]), maps[0], finest, bound, strips,
+        )  # fmt: skip
+        top = replace(top, filtered=filtered)
     strips.run(lambda rows: top.resolve(rows, light, image[rows], strips.workspace), height, width)
     return image
 
@@ -248,6 +258,8 @@ class _Level:
     logits : (planes, h, w) float32
     layout, options
         Of the logits.
+    filtered : (3, h, w) float32 or None
+        The finest level as its last filters left it, which is then not blended again.
     """
 
     planes: np.ndarray
@@ -255,6 +267,7 @@ class _Level:
     logits: np.ndarray | DepthToSpace
     layout: LevelLayout
     options: PyramidKernels
+    filtered: np.ndarray | None = None
 
     def blended(self, strips: Strips, result: np.ndarray) -> None:
         """The whole level with its border repeated, into ``(3, h + 2, w + 2)``."""
@@ -274,7 +287,10 @@ class _Level:
         padded = workspace.array("padded", shape)
         top = 1 - inner.start
         filled = slice(top, top + around.stop - around.start)
-        self.blend(around, padded[:, filled, 1:-1], workspace)
+        if self.filtered is None:
+            self.blend(around, padded[:, filled, 1:-1], workspace)
+        else:
+            padded[:, filled, 1:-1] = self.filtered[:, around]
         if light.remodulation_albedo is not None:
             by = workspace.array("by", (3, around.stop - around.start, width))
             padded[:, filled, 1 : 1 + width] *= planes_of(light.remodulation_albedo[around], out=by)

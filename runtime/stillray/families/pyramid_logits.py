@@ -41,8 +41,14 @@ class LevelLayout:
     around
         Where the spec asks for it, what a pixel takes of its eight `NEIGHBOURS` at each of
         `distances`, as the blend's; empty elsewhere.
+    features
+        At the finest level what its last filters compare; empty elsewhere, and without filters.
+    filters
+        A pair a filter: what a pixel weighs to others, and to itself.
     distances
-        Of those neighbours, in pixels of the level.
+        Of the neighbours, in pixels of the level.
+    filter_distances
+        Of the filters, pixels.
     """
 
     importance: slice
@@ -52,7 +58,10 @@ class LevelLayout:
     sample_blend: slice
     double: slice
     around: slice
+    features: slice
+    filters: slice
     distances: tuple[int, ...]
+    filter_distances: tuple[int, ...]
 
 
 def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayout:
@@ -60,6 +69,7 @@ def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayou
     kernels = len(options.kernel_sizes) if level > 0 or options.finest_kernels else 0
     coarsest = level == levels - 1
     distances = options.finest_neighbours if level == 0 else (1,) * options.predicted
+    filters = options.finest_filters if level == 0 else ()
     counts = (
         kernels,
         0 if coarsest else 1,
@@ -68,14 +78,19 @@ def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayou
         1 if level == 0 else 0,
         0 if level == 0 else 8,
         len(NEIGHBOURS) * len(distances),
+        options.filter_features if level == 0 else 0,
+        2 * len(filters),
     )
     starts = [sum(counts[:index]) for index in range(len(counts) + 1)]
-    importance, pool, blend, resolve, sample_blend, double, around = (
+    importance, pool, blend, resolve, sample_blend, double, around, features, pairs = (
         slice(a, b) for a, b in pairwise(starts)
     )
-    return LevelLayout(importance, pool, blend, resolve, sample_blend, double, around, distances)
+    return LevelLayout(
+        importance, pool, blend, resolve, sample_blend, double, around, features, pairs,
+        distances, filters,
+    )  # fmt: skip
 
 
 def level_logits(level: int, levels: int, options: PyramidKernels) -> int:
     """Planes that a level's logits have, 0 being the finest."""
-    return level_layout(level, levels, options).around.stop
+    return level_layout(level, levels, options).filters.stop

@@ -68,6 +68,7 @@ _MAX_LEVELS = 8  # every one halves the resolution
 _MAX_NETWORK_KERNEL = 31  # pixels
 _MAX_KERNELS = 16
 _MAX_WINDOW = 127  # pixels of a reconstruction kernel
+_MAX_FILTER_FEATURES = 32
 _MAX_LOCAL_SIZE = 255  # pixels
 _MAX_COUNT = 10**9  # steps and the like, of training
 BUFFERS = (
@@ -254,11 +255,22 @@ class PyramidKernels(Decoder):
     # Distances, in pixels, at which pixels of the finest level have a weight for each of eight
     # neighbours. Models that were exported before it was known lack it.
     finest_neighbours: tuple[int, ...] = ()
+    # Distances, in pixels, of the 3x3 filters by feature distances that the finest level goes
+    # through at last, one after the other, and how many features they compare.
+    finest_filters: tuple[int, ...] = ()
+    filter_features: int = 0
 
     def __post_init__(self) -> None:
         _kernels(self.kernel_sizes)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
         _each("decoder.finest_neighbours", self.finest_neighbours, 1, _MAX_WINDOW // 2)
+        _each("decoder.finest_filters", self.finest_filters, 1, _MAX_WINDOW // 2)
+        _within(
+            "decoder.filter_features",
+            self.filter_features,
+            1 if self.finest_filters else 0,
+            _MAX_FILTER_FEATURES if self.finest_filters else 0,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -378,7 +390,7 @@ class FeatureFilters(Decoder):
 
     def __post_init__(self) -> None:
         _within("decoder.scale", self.scale, 1, 2)
-        _within("decoder.features", self.features, 1, 32)
+        _within("decoder.features", self.features, 1, _MAX_FILTER_FEATURES)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, 20)
 
 

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from stillray.families.feature_reconstruction import MOST_DISTANCE, Rules
+from stillray.families.feature_reconstruction import Rules
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
-from stillray.families.pyramid_logits import NEIGHBOURS
 from stillray.model_spec.loader import Demodulate
+from stillray_training.decoders.gaussian import gaussian
 
 
 @dataclass(frozen=True)
@@ -113,40 +113,9 @@ def divisor(albedo_nchw: Tensor, options: Demodulate) -> Tensor:
     return torch.where(black, torch.ones_like(raised), raised)
 
 
-def gaussian(values: Tensor, features: Tensor, weight: Tensor) -> Tensor:
-    """Weighted means of 3x3 pixels, see `stillray.families.feature_reconstruction.gaussian`.
-
-    Parameters
-    ----------
-    values : (n, c, h, w)
-    features : (n, k, h, w)
-    weight : (n, 1, h, w)
-        Above 0.
-
-    Returns
-    -------
-    (n, c, h, w)
-    """
-    height, width = values.shape[2:]
-    channels = values.shape[1]
-    padded = F.pad(torch.cat([values, weight, features], 1), (1, 1, 1, 1))
-    # all neighbours at once: a loop would be five times as many operators in a graph
-    beside = torch.stack(
-        [
-            padded[..., 1 + down : 1 + down + height, 1 + right : 1 + right + width]
-            for down, right in NEIGHBOURS
-        ],
-        1,
-    )
-    apart = (features[:, None] - beside[:, :, channels + 1 :]).square().sum(2, keepdim=True)
-    share = (-apart.clamp(max=MOST_DISTANCE)).exp() * beside[:, :, channels : channels + 1]
-    total = weight + share.sum(1)
-    return (values * weight + (share * beside[:, :, :channels]).sum(1)) / total
-
-
 def _filtered(values: Tensor, maps: Tensor, planes: GaussianPlanes) -> Tensor:
     weight = maps[:, planes.importance : planes.importance + 1].exp()
-    return gaussian(values, maps[:, planes.features], weight)
+    return gaussian(values, maps[:, planes.features], weight, weight)
 
 
 def _accumulated(new: Tensor, past: Tensor, keep: Tensor, most: float) -> Tensor:

@@ -12,6 +12,7 @@ from torch.nn import functional as F
 from stillray.families.pyramid_logits import NEIGHBOURS, LevelLayout, level_layout
 from stillray.model_spec.loader import PyramidKernels
 from stillray_training.decoders.boxes import BoxMean
+from stillray_training.decoders.gaussian import gaussian
 
 
 def kernel_pyramid(
@@ -78,6 +79,11 @@ def kernel_pyramid(
             total = total + sum(share * neighbour for neighbour, share in neighbours)
         result = total
     assert result is not None
+    finest = maps[0]
+    pairs = zip(layouts[0].filter_distances, finest.filters.split(2, 1), strict=False)
+    for distance, pair in pairs:
+        weight, own = pair.exp().split(1, 1)
+        result = gaussian(result, finest.features, weight, own, distance)
     return result
 
 
@@ -136,6 +142,8 @@ class _Parts(NamedTuple):
     sample_blend: Tensor
     double: Tensor
     around: Tensor
+    features: Tensor
+    filters: Tensor
 
 
 def _parts(logits_nchw: Tensor, layout: LevelLayout, options: PyramidKernels) -> _Parts:

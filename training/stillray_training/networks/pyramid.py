@@ -18,6 +18,7 @@ from stillray_training.networks.repvgg import RepVGGBlock
 _UNRESOLVED = -3.0  # logit of a neighbour against the pixel itself, before training
 _ALONE = -5.0  # of one of many neighbours of the finest level
 _NO_SAMPLE_BLEND = -3.0  # and of the new sample's weight beside what was accumulated
+_UNFILTERED = 3.0  # and of a pixel itself, against each neighbour that looks like it
 
 
 class PyramidNet(nn.Module):
@@ -136,6 +137,10 @@ def kernel_pyramid_net(spec: ModelSpec) -> PyramidNet:
             # from an unresolved picture: even shares would blur it and hide what to learn
             bias[layout.resolve] = _UNRESOLVED
             bias[layout.sample_blend] = _NO_SAMPLE_BLEND
+            weight[layout.filters] = 0
+            bias[layout.filters][0::2], bias[layout.filters][1::2] = 0, _UNFILTERED
+            weight[layout.features] *= 2  # surfaces should differ from the start
+            bias[layout.features] = 0
     return made
 
 
