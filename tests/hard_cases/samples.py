@@ -62,6 +62,7 @@ _TAKES_QUIET_SAMPLES = (
     "largest pixel / the same without it",
     6,
     nbg_2x1="one grid spreads a firefly over 6 pixels to each side, too few to bring it down",
+    kpyr_5s=_TRUSTS_SAMPLES,
 )
 def firefly_in_the_first_frame(denoiser: stillray.Denoiser) -> float:
     return _peak(denoiser, 0, 0)
@@ -117,7 +118,6 @@ def _clusters(denoiser: stillray.Denoiser, brightness: float, after: int) -> flo
     "largest pixel / the same without it",
     100,
     nbg_7x3=_TRAINED_ON_CLEAN,
-    kpyr_5s=_TRUSTS_SAMPLES,
     wskp_mr=_TRUSTS_SAMPLES,
 )
 def cluster_of_fireflies(denoiser: stillray.Denoiser) -> float:
@@ -171,6 +171,7 @@ def nothing_but_broken_pixels(denoiser: stillray.Denoiser) -> float:
     "largest pixel / the surroundings",
     3,
     nbg_7x3=_TRAINED_ON_CLEAN,
+    kpyr_5s=_TRUSTS_SAMPLES,
 )
 def broken_pixel_beside_a_firefly(denoiser: stillray.Denoiser) -> float:
     frame = _with_firefly(flat(0.5), 3e38)
