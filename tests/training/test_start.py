@@ -45,15 +45,15 @@ def test_a_packaged_model_starts_a_deeper_one():
     torch.testing.assert_close(second(features), first(features))
 
 
-def test_a_packaged_model_starts_one_with_more_blocks_and_neighbours():
+def test_a_packaged_model_starts_one_with_more_blocks_and_filters():
     info = find_model("kpyr-5")
     known = info.spec.decoder
-    distances = (*known.finest_neighbours, 7)
+    distances = (*known.finest_filters, 7)
     deeper = dataclasses.replace(
         info.spec.network,
         decoder_blocks=tuple(count + 1 for count in info.spec.network.decoder_blocks),
     )
-    decoder = dataclasses.replace(known, finest_neighbours=distances)
+    decoder = dataclasses.replace(known, finest_filters=distances)
     spec = dataclasses.replace(info.spec, network=deeper, decoder=decoder)
     first, second = (FAMILIES[info.family].network(each) for each in (info.spec, spec))
     start_from("kpyr-5", first, info.spec)
@@ -63,8 +63,9 @@ def test_a_packaged_model_starts_one_with_more_blocks_and_neighbours():
     wanted, *others = first(features)
     torch.testing.assert_close(finest[:, : wanted.shape[1]], wanted)
     torch.testing.assert_close(coarser, others)
-    # the new neighbours count next to nothing, everywhere alike
-    assert torch.equal(finest[:, wanted.shape[1] :], torch.full_like(finest[:, -8:], -5.0))
+    # to the new filter neighbours count little, everywhere alike
+    new = torch.tensor([0.0, 3.0])[:, None, None].expand_as(finest[0, -2:])
+    assert torch.equal(finest[0, wanted.shape[1] :], new)
 
 
 def test_what_is_no_start_is_refused_by_name(tmp_path):
