@@ -155,10 +155,9 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
         See `read_start`. A model of the same family and widths; it may have read other features,
         which are matched by name (those that it did not read begin with weights of 0), have given
         fewer logits (new ones are appended: of neighbours, only before there are filters), fewer
-        blocks of a width that an identity spans (new
-        ones begin as that identity), and fewer layers in its dense block (what new ones add begins
-        with weights of 0). Where the first block has an identity, features
-        stay in their places.
+        blocks of a width that an identity spans (new ones begin as that identity), and fewer layers
+        in its dense block (what new ones add begins with weights of 0). Where the first block has
+        an identity, features stay in their places.
     network, spec
         What is to be trained.
 

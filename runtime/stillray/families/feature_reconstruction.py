@@ -31,7 +31,7 @@ from stillray.arrays.strips import Strips, planes_of, with_halo
 from stillray.arrays.workspace import Workspace
 from stillray.families.depth_to_space import DepthToSpace
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
-from stillray.families.gaussian import Weights, gaussian
+from stillray.families.gaussian import Weights, framed, gaussian
 from stillray.model_spec.loader import Demodulate, FeatureFilters
 from stillray.stages.demodulate import demodulation_albedo
 
@@ -210,7 +210,7 @@ class _Reconstruction:
             filled = slice(top, top + near.stop - near.start)
             count = self._rules.filters.features
             parts = [
-                _framed(workspace, name, (size, high, width + 2), filled)
+                framed(workspace.array(name, (size, high, width + 2)), filled, 1)
                 for name, size in (("values", channels), ("features", count), ("weight", 1))
             ]
             values, features, weight = parts
@@ -357,18 +357,6 @@ class _Reconstruction:
             if keep is not None and self._past is not None:
                 light = light * leave + keep * self._past.output[rows, :, channel]
             image[..., channel] = light
-
-
-def _framed(
-    workspace: Workspace, name: str, shape: tuple[int, int, int], filled: slice
-) -> np.ndarray:
-    """An array with zeros around the rows that will be filled, and left and right of them."""
-    array = workspace.array(name, shape)
-    array[:, : filled.start] = 0
-    array[:, filled.stop :] = 0
-    array[..., 0] = 0
-    array[..., -1] = 0
-    return array
 
 
 def _shares(logits: np.ndarray) -> np.ndarray:

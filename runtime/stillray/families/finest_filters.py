@@ -15,7 +15,7 @@ import numpy as np
 from stillray.arrays.strips import Strips, with_halo
 from stillray.families.box_filter import bounded_exp
 from stillray.families.depth_to_space import DepthToSpace
-from stillray.families.gaussian import Weights, gaussian
+from stillray.families.gaussian import Weights, framed, gaussian
 from stillray.families.pyramid_logits import LevelLayout
 
 
@@ -51,8 +51,7 @@ def filter_finest(
     """
     height, width = size
     source, other = (strips.workspace.array(f"finest {index}", (3, *size)) for index in (0, 1))
-    blended = source
-    strips.run(lambda rows: blend(rows, blended[:, rows]), height, width)
+    strips.run(lambda rows: blend(rows, source[:, rows]), height, width)
     for index in range(len(layout.filter_distances)):
         step = _Filter(source, logits, layout, index, bound)
         strips.run(partial(step.run, other, strips), height, width)
@@ -86,7 +85,7 @@ class _Filter:
         features = self._logits[self._features, near]
         shape = (rows.stop - rows.start + 2 * margin, width + 2 * margin)
         values, guides, other = (
-            _framed(workspace.array(name, (count, *shape)), filled, margin)
+            framed(workspace.array(name, (count, *shape)), filled, margin)
             for name, count in (("values", 3), ("features", len(features)), ("weight", 1))
         )
         values[:, filled, margin:-margin] = self._source[:, near]
@@ -98,12 +97,3 @@ class _Filter:
         own = own[: rows.stop - rows.start]
         bounded_exp(self._logits[self._own, rows][0], self._bound, own)
         gaussian(values, Weights(guides, other[0], own), target[:, rows], workspace, margin)
-
-
-def _framed(array: np.ndarray, filled: slice, margin: int) -> np.ndarray:
-    """An array with zeros around the rows that will be filled, and left and right of them."""
-    array[:, : filled.start] = 0
-    array[:, filled.stop :] = 0
-    array[..., :margin] = 0
-    array[..., -margin:] = 0
-    return array

@@ -90,6 +90,25 @@ def gaussian(
     out *= total
 
 
+def framed(array: np.ndarray, filled: slice, margin: int) -> np.ndarray:
+    """An array with zeros around the rows that will be filled, and left and right of them.
+
+    Parameters
+    ----------
+    array : (c, h, w) float32
+        Written.
+    filled
+        Of its rows.
+    margin
+        Columns on each side, 1 or more.
+    """
+    array[:, : filled.start] = 0
+    array[:, filled.stop :] = 0
+    array[..., :margin] = 0
+    array[..., -margin:] = 0
+    return array
+
+
 _Window = tuple[slice, slice]
 
 
