@@ -1,4 +1,4 @@
-"""A training's checkpoint: weights, their mean, Adam's moments and the step, in one file."""
+"""A training's checkpoint: weights, their mean, the optimiser's moments and the step, in one file."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def save(
         tensors.update({f"average.{name}": value for name, value in means})
     for index, moments in optimiser.state_dict()["state"].items():
         for name, value in moments.items():
-            tensors[f"adam.{index}.{name}"] = torch.as_tensor(value)
+            tensors[f"optimiser.{index}.{name}"] = torch.as_tensor(value)
     with atomic_path(path) as temporary:
         save_file(tensors, temporary, metadata={"step": str(step), "spec": spec.to_json()})
 
@@ -57,8 +57,14 @@ def restore(
         return 0
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
-    if json.loads(metadata["spec"])["network"] != json.loads(spec.to_json())["network"]:
+    before, now = json.loads(metadata["spec"]), json.loads(spec.to_json())
+    if before["network"] != now["network"]:
         raise InputError(f"{path}: the checkpoint must be of {spec.name} as it is specified now")
+    if optimiser is not None and _optimiser_in(before) != _optimiser_in(now):
+        raise InputError(
+            f"{path}: the checkpoint must be of optimiser {_optimiser_in(now)}, got "
+            f"{_optimiser_in(before)}; another one can start from it"
+        )
     tensors = load_file(path)
 
     def weights(prefix: str) -> dict[str, Tensor]:
@@ -69,7 +75,7 @@ def restore(
     average.load_state_dict(weights("average.") or weights("network."))
     if optimiser is not None:
         state: dict[int, dict[str, Any]] = {}
-        for name, value in weights("adam.").items():
+        for name, value in weights("optimiser.").items():
             index, key = name.split(".")
             state.setdefault(int(index), {})[key] = value
         optimiser.load_state_dict(
@@ -87,3 +93,8 @@ def load_network(
     if step == 0:
         raise InputError(f"{checkpoint}: no such checkpoint")
     return network, step
+
+
+def _optimiser_in(spec: dict[str, Any]) -> str:
+    """Adam in specs of before it was named."""
+    return str(spec["training"].get("optimiser", "adam"))

@@ -49,7 +49,7 @@ from stillray_training.losses import (
 from stillray_training.networks.fuse import fuse
 from stillray_training.onnx_graph import network_graph
 from stillray_training.provenance import ASSETS, assets_of
-from stillray_training.schedule import follow, learning_rate
+from stillray_training.schedule import follow, learning_rate, optimiser_of
 from stillray_training.start import STARTED_FROM, start_from
 
 #: Whether the processor multiplies bfloat16 itself; where it does not, a step takes far longer.
@@ -143,7 +143,7 @@ def train(
     out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(spec.training.seed)
     network = family.network(spec)
-    optimiser = torch.optim.Adam(network.parameters(), lr=spec.training.learning_rate)
+    optimiser = optimiser_of(network, spec.training)
     average = copy.deepcopy(network) if spec.training.average else network
     step = restore(out / CHECKPOINT, spec, network, optimiser, average)
     if start is not None and step == 0:

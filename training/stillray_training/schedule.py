@@ -1,4 +1,4 @@
-"""How a training goes from step to step: its rate of learning, and the mean of its weights."""
+"""How a training goes from step to step: its optimiser, rate of learning, and mean of weights."""
 
 from __future__ import annotations
 
@@ -8,6 +8,14 @@ import torch
 from torch import nn
 
 from stillray.model_spec import ModelSpec
+from stillray.model_spec.loader import Training
+from stillray_training.muon import Muon
+
+
+def optimiser_of(network: nn.Module, recipe: Training) -> torch.optim.Optimizer:
+    """The recipe's optimiser over all weights."""
+    of = {"adam": torch.optim.AdamW, "muon": Muon}[recipe.optimiser]
+    return of(network.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay)
 
 
 def learning_rate(step: int, spec: ModelSpec) -> float:

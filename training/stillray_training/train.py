@@ -1,7 +1,7 @@
 """``stillray-train wskp-3 --data data/train --out runs/wskp-3``.
 
 Trains a model by its spec's recipe. Stops and resumes at any step: ``checkpoint.safetensors`` holds
-weights and Adam's moments, ``log.csv`` the losses.
+weights and the optimiser's moments, ``log.csv`` the losses.
 """
 
 from __future__ import annotations

@@ -394,6 +394,9 @@ class FeatureFilters(Decoder):
         _within("decoder.logit_bound", self.logit_bound, 1e-3, 20)
 
 
+OPTIMISERS = ("adam", "muon")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Training:
     """The recipe that `stillray-train` follows."""
@@ -401,7 +404,7 @@ class Training:
     steps: int
     batch: int
     patch: int  # pixels
-    learning_rate: float  # Adam, cosine decay to 1 % of it
+    learning_rate: float  # of the optimiser, cosine decay to 1 % of it
     smape_epsilon: float  # Fan et al. 2021, eq. 6, in exposed radiance
     display_weight: float  # weight of the error as displayed beside SMAPE, >= 0
     # weight of its square there, which is what PSNR counts, >= 0
@@ -427,7 +430,8 @@ class Training:
     bfloat16: bool = False
     still_share: float = 0.0  # share of patches of single frames of 2 to 32 samples a pixel, [0, 1]
     frames: int = 1  # that a recurrent model is unrolled over
-    weight_decay: float = 0.0  # of Adam, see `torch.optim.AdamW`; >= 0
+    weight_decay: float = 0.0  # decoupled, see `torch.optim.AdamW`; >= 0
+    optimiser: str = "adam"  # one of OPTIMISERS
     albedo_weight: float = 0.0  # weight of the error of accumulated albedos, >= 0
 
     def __post_init__(self) -> None:
@@ -442,6 +446,7 @@ class Training:
             _within(f"training.{key}", getattr(self, key), 1, _MAX_COUNT)
         for key in ("history_from", "history_every", "seed"):
             _within(f"training.{key}", getattr(self, key), 0, _MAX_COUNT)
+        _one_of("training.optimiser", self.optimiser, OPTIMISERS)
         _within("training.learning_rate", self.learning_rate, 1e-12, 1e3)
         _within("training.smape_epsilon", self.smape_epsilon, 1e-12, 1e6)
         _within("training.exposure_stops", self.exposure_stops, 0, 32)

@@ -33,7 +33,7 @@ from stillray_training.loss_log import LOG, LOG_EVERY, forget_after, log_loss
 from stillray_training.losses import displayed, dissimilarity, per_patch, smape
 from stillray_training.networks.multi_branch import multi_branch_net
 from stillray_training.provenance import ASSETS, assets_of
-from stillray_training.schedule import follow, learning_rate
+from stillray_training.schedule import follow, learning_rate, optimiser_of
 from stillray_training.upscaling.clips import Clip, ClipSampler, Sample, load_clip
 from stillray_training.upscaling.unroll import step as unrolled_step
 from stillray_training.upscaling.unroll import warped
@@ -138,9 +138,7 @@ def train_recurrent(
     recipe = spec.training
     torch.manual_seed(recipe.seed)
     network: nn.Module = multi_branch_net(spec)
-    optimiser = torch.optim.AdamW(
-        network.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay
-    )
+    optimiser = optimiser_of(network, recipe)
     average = copy.deepcopy(network) if recipe.average else network
     step = restore(out / CHECKPOINT, spec, network, optimiser, average)
     forget_after(out / LOG, step)
