@@ -255,6 +255,18 @@ def test_a_checkpoint_of_another_network_is_refused(data, small, tmp_path):
         patch_training.train(without_branches(short), [data], tmp_path)
 
 
+def test_a_checkpoint_of_another_optimiser_is_refused(data, small, tmp_path):
+    def with_optimiser(name):
+        recipe = dataclasses.replace(small.training, steps=1, optimiser=name)
+        return dataclasses.replace(small, training=recipe)
+
+    patch_training.train(with_optimiser("muon"), [data], tmp_path, save_every=1)
+    with pytest.raises(InputError, match="must be of optimiser adam, got muon"):
+        patch_training.train(with_optimiser("adam"), [data], tmp_path)
+    with pytest.raises(InputError, match="training.optimiser must be one of adam, muon, got .*sgd"):
+        with_optimiser("sgd")
+
+
 def test_an_empty_data_folder_is_refused(small, tmp_path):
     with pytest.raises(InputError, match="data must hold finished sequences"):
         patch_training.train(small, [tmp_path], tmp_path / "out")

@@ -1,4 +1,4 @@
-"""A training's checkpoint: weights, their mean, the optimiser's moments and the step, in one file."""
+"""A training's checkpoint: weights, their mean, the optimiser's moments and the step."""
 
 from __future__ import annotations
 

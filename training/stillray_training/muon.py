@@ -18,7 +18,7 @@ from torch import Tensor, nn
 LEAST_SIDE = 8  # channels in and out of kernels that are made orthogonal
 _MOMENTUM = 0.95
 _BETAS, _EPSILON = (0.9, 0.999), 1e-8  # of Adam
-#: Of a polynomial that takes singular values to within 0.3 of 1 in five applications (Jordan et al.).
+#: Of a polynomial that brings singular values near 1 in five applications (Jordan et al.).
 _QUINTIC = (3.4445, -4.7750, 2.0315)
 _ITERATIONS = 5
 #: Root mean square of a step of Adam, which rates of learning are made for (Liu et al. 2025,
