@@ -263,7 +263,7 @@ def test_a_checkpoint_of_another_optimiser_is_refused(data, small, tmp_path):
     patch_training.train(with_optimiser("muon"), [data], tmp_path, save_every=1)
     with pytest.raises(InputError, match="must be of optimiser adam, got muon"):
         patch_training.train(with_optimiser("adam"), [data], tmp_path)
-    with pytest.raises(InputError, match="training.optimiser must be one of adam, muon, got .*sgd"):
+    with pytest.raises(InputError, match="optimiser must be one of adam, muon, got sgd"):
         with_optimiser("sgd")
 
 

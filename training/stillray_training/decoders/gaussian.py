@@ -1,6 +1,14 @@
-"""A filter by feature distances, differentiable: the twin of `stillray.families.gaussian`."""
+"""A filter by feature distances, differentiable: the twin of `stillray.families.gaussian`.
+
+`gaussian` is the definition as operators of a graph. Where a gradient is wanted, `_Gaussian` does
+the same with a gradient of its own: each pair of pixels is compared once, sums are made in place,
+and what it keeps is a fifth.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -30,6 +38,9 @@ def gaussian(
     -------
     (n, c, h, w)
     """
+    if torch.is_grad_enabled() and not torch.compiler.is_compiling():
+        mean: Tensor = _Gaussian.apply(values, features, weight, own, distance)
+        return mean
     height, width = values.shape[2:]
     channels = values.shape[1]
     padded = F.pad(torch.cat([values, weight, features], 1), [distance] * 4)
@@ -45,3 +56,67 @@ def gaussian(
     share = (-apart.clamp(max=MOST_DISTANCE)).exp() * beside[:, :, channels : channels + 1]
     total = own + share.sum(1)
     return (values * own + (share * beside[:, :, :channels]).sum(1)) / total
+
+
+class _Gaussian(torch.autograd.Function):
+    """`gaussian` with its gradient written out."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, values: Tensor, features: Tensor, weight: Tensor, own: Tensor, distance: int
+    ) -> Tensor:
+        """See `gaussian`."""
+        total, sums = own.clone(), values * own
+        likenesses = []
+        for here, there in _pairs(values.shape, distance):
+            apart = (features[here] - features[there]).square_().sum(1, keepdim=True)
+            alike = apart.clamp_(max=MOST_DISTANCE).neg_().exp_()
+            for to, of in ((here, there), (there, here)):
+                share = alike * weight[of]
+                total[to] += share
+                sums[to].addcmul_(share, values[of])
+            likenesses.append(alike)
+        mean = sums.div_(total)
+        ctx.distance = distance
+        ctx.save_for_backward(values, features, weight, own, total, mean, *likenesses)
+        return mean
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        """Of values, features, weight and own."""
+        values, features, weight, own, total, mean, *likenesses = ctx.saved_tensors
+        of_sums = gradients[0] / total
+        of_total = -(of_sums * mean).sum(1, keepdim=True)
+        of_values = of_sums * own
+        of_own = (of_sums * values).sum(1, keepdim=True).add_(of_total)
+        of_features, of_weight = torch.zeros_like(features), torch.zeros_like(weight)
+        # where pixels are as far apart as can be, the distance is held and has no gradient
+        least = torch.tensor(-MOST_DISTANCE, dtype=values.dtype).exp()
+        for (here, there), alike in zip(
+            _pairs(values.shape, ctx.distance), likenesses, strict=True
+        ):
+            of_alike = torch.zeros_like(alike)
+            for to, of in ((here, there), (there, here)):
+                of_share = (of_sums[to] * values[of]).sum(1, keepdim=True).add_(of_total[to])
+                of_values[of].addcmul_(alike * weight[of], of_sums[to])
+                of_weight[of].addcmul_(alike, of_share)
+                of_alike.addcmul_(weight[of], of_share)
+            of_apart = of_alike.mul_(alike).mul_(-2 * (alike > least))
+            change = (features[here] - features[there]).mul_(of_apart)
+            of_features[here] += change
+            of_features[there] -= change
+        return of_values, of_features, of_weight, of_own, None
+
+
+def _pairs(shape: torch.Size, distance: int) -> Iterator[tuple[Any, Any]]:
+    """Each pair of neighbours once, as indices of where one and where the other of all is."""
+    height, width = shape[2:]
+    for down, right in NEIGHBOURS:
+        down, right = distance * down, distance * right
+        if (down, right) < (0, 0) or down >= height or abs(right) >= width:
+            continue
+        left = max(-right, 0)
+        across = width - abs(right)
+        here = (..., slice(0, height - down), slice(left, left + across))
+        there = (..., slice(down, height), slice(left + right, left + right + across))
+        yield here, there
