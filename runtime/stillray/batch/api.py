@@ -23,12 +23,13 @@ from stillray.batch.shot import (
     steps_to_run,
 )
 from stillray.errors import InputError
-from stillray.families.contract import Keeps
-from stillray.families.registry import family_of
+from stillray.families.contract import Family, Keeps
 from stillray.frame import check_samples
 from stillray.io.channels.motion_detection import Detection
 from stillray.io.image_file import is_float_map
-from stillray.models.registry import DEFAULT_MODEL, ModelInfo, find_model
+from stillray.models.registry import DEFAULT_MODEL, ModelInfo
+from stillray.models.session import Provider
+from stillray.pipeline.opening import family_of_model, model_of
 
 #: Frames of a chunk unless told otherwise: twice as many as are run before it for its history.
 CHUNK_FRAMES = 64
@@ -66,6 +67,9 @@ class ShotOptions:
         Whether outputs that were made from the same inputs in the same way are kept.
     threads
         Of each process, 1 or more; None for all processors, shared among local workers.
+    providers
+        ONNX Runtime execution providers, as `stillray.Denoiser` takes them, of each process;
+        None for the CPU.
     max_memory
         Bytes that the process should stay below; None for whole frames. Of files with several
         views each takes its share.
@@ -92,6 +96,7 @@ class ShotOptions:
     cuts: bool = True
     resume: bool = False
     threads: int | None = None
+    providers: tuple[Provider, ...] | None = None
     max_memory: int | None = None
     state: str | None = None
     workers: int | None = None
@@ -184,7 +189,7 @@ def denoise_shot(
     output
         An EXR file, a pattern, or a folder, which gets files of the inputs' names.
     model
-        A quality, a model's name or the path of an .onnx file.
+        A quality, a model's name, or the path of an .onnx file: a model's or a frame graph's.
     options
         How; None for the defaults.
     progress
@@ -220,6 +225,8 @@ class PlannedShot:
         Those that are run here; where the shot is split, workers find out.
     model
         The model.
+    family
+        What decides and steps for it.
     layout
         How files are read and written.
     already
@@ -230,6 +237,7 @@ class PlannedShot:
     jobs: list[ShotFrame]
     steps: list[RunStep]
     model: ModelInfo
+    family: Family
     layout: Layout
     already: int
     work: ShotSettings
@@ -254,7 +262,7 @@ class PlannedShot:
         if self.layout.detection is not None:
             progress.motion(self.layout.detection)
         outputs = [job.output for job in self.jobs if job.output is not None]
-        scale = family_of(self.model.spec).traits.scale
+        scale = self.family.traits.scale
         for line in self.layout.changes(self.jobs[0].source, outputs[0], scale):
             progress.note(line)
         ran: list[FrameReport] = []
@@ -328,8 +336,8 @@ def plan_run(
         samples=options.samples,
     )
     _check_outputs(jobs, layout, resume=options.resume)
-    chosen = find_model(model)
-    memory, cuts = _memory(chosen, options, len(jobs)), options.cuts and temporal
+    chosen, family = _opened(model, options)
+    memory, cuts = _memory(family, options, len(jobs)), options.cuts and temporal
     recipe = Recipe(
         model=chosen.name,
         model_digest=file_digest(chosen.path),
@@ -346,14 +354,16 @@ def plan_run(
         temporal=temporal,
         cuts=cuts,
         threads=options.threads,
+        providers=options.providers,
         max_memory=options.max_memory,
-        state=None if options.state is None else _state(options.state, chosen, layout),
+        state=None if options.state is None else _state(options.state, chosen, family, layout),
     )
     return PlannedShot(
         options=options,
         jobs=jobs,
         steps=steps_to_run(jobs, done, memory=memory),
         model=chosen,
+        family=family,
         layout=layout,
         already=sum(done),
         work=work,
@@ -373,9 +383,20 @@ def _check_outputs(jobs: Sequence[ShotFrame], layout: Layout, *, resume: bool) -
         )
 
 
-def _state(name: str, model: ModelInfo, layout: Layout) -> Path:
+def _opened(name: str, options: ShotOptions) -> tuple[ModelInfo, Family]:
+    """A model and its family; what it can never do is refused before a frame is run."""
+    model = model_of(name)
+    family = family_of_model(model, options.providers)
+    if options.aovs is not None and not family.traits.linear:
+        raise InputError(
+            f"aovs must not be given with {model.name}, which denoises the beauty alone"
+        )
+    return model, family
+
+
+def _state(name: str, model: ModelInfo, family: Family, layout: Layout) -> Path:
     """The file of a state; whether a model has one to keep is found out before frames are run."""
-    if not isinstance(family_of(model.spec), Keeps):
+    if not isinstance(family, Keeps):
         raise InputError(f"state must be that of a model that learns as it runs, got {model.name}")
     if layout.views:
         raise InputError(f"state must be of one view, got {', '.join(layout.views)}")
@@ -384,13 +405,13 @@ def _state(name: str, model: ModelInfo, layout: Layout) -> Path:
     return Path(name)
 
 
-def _memory(model: ModelInfo, options: ShotOptions, frames: int) -> int:
+def _memory(family: Family, options: ShotOptions, frames: int) -> int:
     """Frames that a history is taken to go back."""
     if not options.temporal:
         return 0
     if options.warm_up is not None:
         return options.warm_up
-    memory = family_of(model.spec).traits.memory
+    memory = family.traits.memory
     return frames if memory is None else memory
 
 

@@ -18,8 +18,10 @@ from stillray.batch.run import FrameReport, Handling, finished, remove_leftovers
 from stillray.batch.shot import RunStep, ShotFrame, steps_to_run, window
 from stillray.errors import InputError
 from stillray.io.frame_range import format_frames
-from stillray.models.registry import ModelInfo, find_model
+from stillray.models.registry import ModelInfo
+from stillray.models.session import Provider
 from stillray.pipeline.denoiser import Denoiser
+from stillray.pipeline.opening import model_of
 from stillray.version import __version__
 
 
@@ -43,6 +45,8 @@ class ShotSettings:
         Whether cuts are looked for.
     threads
         Of the denoiser; None for all that there are.
+    providers
+        Of the denoiser; None for the CPU.
     max_memory
         Bytes, see `stillray.Denoiser`.
     state
@@ -56,6 +60,7 @@ class ShotSettings:
     temporal: bool = True
     cuts: bool = True
     threads: int | None = None
+    providers: tuple[Provider, ...] | None = None
     max_memory: int | None = None
     state: Path | None = None
 
@@ -93,7 +98,11 @@ class ShotSettings:
         # each view has a past of its own
         most = None if self.max_memory is None else self.max_memory // len(self.layout.of_views)
         with Denoiser(
-            model, threads=self.threads, temporal=self.temporal, max_memory=most
+            model,
+            threads=self.threads,
+            providers=self.providers,
+            temporal=self.temporal,
+            max_memory=most,
         ) as denoiser:
             if self.state is not None and self.state.exists():
                 denoiser.load(self.state)
@@ -111,7 +120,7 @@ class ShotSettings:
         """
         if self.recipe.version != __version__:
             raise InputError(f"workers must have stillray {self.recipe.version}, got {__version__}")
-        model = find_model(self.model)
+        model = model_of(self.model)
         if file_digest(model.path) != self.recipe.model_digest:
             raise InputError(
                 f"workers must have the same file of the model {self.model}, got another one"

@@ -49,8 +49,8 @@ def denoise(
             "--quality",
             "-m",
             autocompletion=_complete_model,
-            help="fast, balanced, high, a model name or .onnx file; also -q high, as oidnDenoise "
-            "has it.",
+            help="fast, balanced, high, a model name or .onnx file, also of a frame graph; or -q "
+            "high, as oidnDenoise has it.",
         ),
     ] = "high",
     albedo: Annotated[
@@ -137,6 +137,13 @@ def denoise(
             "unless given."
         ),
     ] = None,
+    provider: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="ONNX Runtime execution provider, repeatable; the CPU unless given. It runs the "
+            "network; given a frame graph, NAME.frame.onnx, as model, all stages."
+        ),
+    ] = None,
     max_memory: Annotated[
         str | None,
         typer.Option(
@@ -218,6 +225,7 @@ def denoise(
         cuts=cuts,
         resume=resume,
         threads=threads,
+        providers=tuple(provider) if provider else None,
         max_memory=None if max_memory is None else parse_memory(max_memory),
         state=state,
         workers=workers,
@@ -226,10 +234,7 @@ def denoise(
     )
     planned = plan_run(sources, output, model, options, look=dry)
     if dry:
-        facts = dry_run.collect(
-            planned.jobs, planned.steps, planned.layout, planned.model.spec, temporal=temporal
-        )
-        dry_run.show(facts, as_json=as_json)
+        dry_run.show(dry_run.collect(planned), as_json=as_json)
         return
     kind = "json" if as_json else "quiet" if quiet else "text"
     with reports.report_to(kind, planned.count, verbose=verbose) as report:

@@ -9,41 +9,21 @@ from typing import TYPE_CHECKING, Any
 from stillray.cli.reports import frames
 
 if TYPE_CHECKING:
+    from stillray.batch.api import PlannedShot
     from stillray.batch.file_layout import Layout
     from stillray.batch.shot import RunStep, ShotFrame
-    from stillray.model_spec.loader import ModelSpec
     from stillray.stages.plan import Stage
 
 
-def collect(
-    jobs: Sequence[ShotFrame],
-    steps: Sequence[RunStep],
-    layout: Layout,
-    spec: ModelSpec,
-    *,
-    temporal: bool,
-) -> dict[str, Any]:
-    """What a run would do; reads the first two frames that it would run, at most.
-
-    Parameters
-    ----------
-    jobs
-        All frames.
-    steps
-        Those that need work.
-    layout
-        How files are read.
-    spec
-        The model's.
-    temporal
-        Whether frames are accumulated.
-    """
+def collect(shot: PlannedShot) -> dict[str, Any]:
+    """What a run would do; reads the first two frames that it would run, at most."""
     from stillray.pipeline.plan import plan_frames
 
+    steps, layout, temporal = shot.steps, shot.layout, shot.options.temporal
     planned = {id(step.job): step for step in steps}
     facts: dict[str, Any] = {
-        "model": spec.name,
-        "frames": [_frame(job, planned.get(id(job))) for job in jobs],
+        "model": shot.model.name,
+        "frames": [_frame(job, planned.get(id(job))) for job in shot.jobs],
         "layers": {},
         "stages_first": [],
         "stages_following": [],
@@ -52,13 +32,13 @@ def collect(
         return facts
     facts["layers"] = _layers(steps[0].job, layout)
     first = layout.read(steps[0].job.source, steps[0].job.companions, None)[0].frame
-    facts["stages_first"] = _stages(plan_frames([first], spec, temporal=temporal)[-1].stages)
+    facts["stages_first"] = _stages(plan_frames([first], shot.family, temporal=temporal)[-1].stages)
     following = next((step for step in steps if not step.starts_anew), None)
     if following is not None:
         before = steps[steps.index(following) - 1].job.source
         frame = layout.read(following.job.source, following.job.companions, before)[0].frame
         # what a frame leaves to the next depends on its buffers, not on their values
-        plans = plan_frames([first, frame], spec, temporal=temporal)
+        plans = plan_frames([first, frame], shot.family, temporal=temporal)
         facts["stages_following"] = _stages(plans[-1].stages)
     return facts
 

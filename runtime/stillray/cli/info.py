@@ -25,7 +25,10 @@ if TYPE_CHECKING:
 
 def info(
     file: Annotated[
-        str, typer.Argument(help="An EXR or PFM file, or a sequence: its first frame.")
+        str,
+        typer.Argument(
+            help="An EXR or PFM file, or a sequence: its first frame; or a frame graph."
+        ),
     ],
     model: Annotated[
         str, typer.Option("--model", "-m", help="Quality, model name or .onnx file.")
@@ -43,14 +46,15 @@ def info(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     graph: Annotated[
         bool,
-        typer.Option("--graph", help="FILE is a frame graph: what it takes and gives."),
+        typer.Option("--graph", help="FILE is a frame graph, or its model's name."),
     ] = False,
 ) -> None:
     """Show the channels found, their roles, and the stages that will run.
 
-    Where a file cannot be denoised, it shows what there is in it before it says why.
+    Where a file cannot be denoised, it shows what there is in it before it says why. Of a frame
+    graph, NAME.frame.onnx, it shows all inputs and outputs.
     """
-    if graph:
+    if graph or file.endswith(".onnx"):
         _show(_graph(file), as_json, _print_graph)
         return
     from stillray.io.channels.roles import parse_overrides
@@ -76,10 +80,10 @@ def info(
 
 
 def _graph(name: str) -> dict[str, Any]:
-    from stillray.models.frame_graph import find_frame_graph, read_ports
+    from stillray.models.frame_graph import find_frame_graph, read_frame_graph
 
     path = find_frame_graph(name)
-    return {"file": printable(str(path)), **asdict(read_ports(path))}
+    return {"file": printable(str(path)), **asdict(read_frame_graph(path).ports)}
 
 
 def _print_graph(facts: dict[str, Any]) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,6 +77,25 @@ class Ports:
         return json.dumps(dataclasses.asdict(self))
 
 
+@dataclass(frozen=True, kw_only=True)
+class FrameGraphFile:
+    """What a frame graph's file tells.
+
+    Attributes
+    ----------
+    ports
+        What the graph takes and gives.
+    metadata
+        All that the file says of itself, by key.
+    size_bytes
+        The file's.
+    """
+
+    ports: Ports
+    metadata: Mapping[str, str]
+    size_bytes: int
+
+
 def find_frame_graph(name: str) -> Path:
     """The file of a frame graph, by its path or by its model's name in this folder.
 
@@ -95,24 +115,26 @@ def find_frame_graph(name: str) -> Path:
     return path
 
 
-def read_ports(path: Path) -> Ports:
-    """The inputs and outputs that a frame graph's file tells of.
+def read_frame_graph(path: Path) -> FrameGraphFile:
+    """What a frame graph's file tells; its nodes are not looked at.
 
     Raises
     ------
     InputError
-        The file cannot be read, is not ONNX, or tells of none.
+        The file cannot be read, is not ONNX, or tells of no inputs and outputs.
     """
+    data = read_bytes(path)
     try:
-        metadata = metadata_of(read_bytes(path))
+        metadata = metadata_of(data)
     except WireError as error:
         raise InputError(f"{path}: not a usable ONNX model: {error}") from None
     if PORTS_KEY not in metadata:
         raise InputError(f"{path}: not a frame graph: no {PORTS_KEY} in its metadata")
     try:
-        return _ports(metadata[PORTS_KEY])
+        ports = _ports(metadata[PORTS_KEY])
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: its inputs and outputs cannot be read: {error}") from None
+    return FrameGraphFile(ports=ports, metadata=metadata, size_bytes=len(data))
 
 
 def checked_bytes(path: Path) -> bytes:

@@ -20,11 +20,9 @@ from stillray.models.frame_graph import (
     SPATIAL_SUFFIX,
     Ports,
     find_frame_graph,
-    read_ports,
+    read_frame_graph,
 )
 from stillray.models.network_graph import Interface, Planes
-from stillray.models.onnx_file import metadata_of, read_bytes
-from stillray.models.protobuf import WireError
 from stillray.models.session import read_checked
 
 SPEC_KEY = "stillray.spec"
@@ -158,24 +156,23 @@ def read_model(path: Path) -> ModelInfo:
 def find_frame_model(name: str | os.PathLike[str]) -> ModelInfo:
     """The model of a frame graph, by the graph's path; nothing of it is run.
 
+    It is called by its model's name and ``.frame``, since it cannot do all that the model can.
+
     Raises
     ------
     InputError
         There is no such file: the message says how to make it. Or it is no frame graph.
     """
     path = find_frame_graph(str(name))
-    ports = read_ports(path)
-    data = read_bytes(path)
-    try:
-        spec, provenance = _told(path, metadata_of(data))
-    except WireError as error:
-        raise InputError(f"{path}: not a usable ONNX model: {error}") from None
+    file = read_frame_graph(path)
+    spec, provenance = _told(path, file.metadata)
     # of the network within, its specification tells
     planes = tuple(Planes(*each) for each in network_outputs(spec))
     interface = Interface(
         features=len(spec.network.features), outputs=planes, multiplications=float("nan")
     )
-    return replace(_info(path, len(data), interface, spec, provenance), ports=ports)
+    info = _info(path, file.size_bytes, interface, spec, provenance)
+    return replace(info, name=f"{spec.name}{FRAME_SUFFIX}", ports=file.ports)
 
 
 def is_frame_graph(name: str | os.PathLike[str]) -> bool:

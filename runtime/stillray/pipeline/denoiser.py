@@ -93,7 +93,7 @@ class Denoiser:
         self.max_memory = max_memory
         #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
         self.last_timings: dict[str, float] = {}
-        self._family = family_of_model(self.model, self.families, chosen)
+        self._family = family_of_model(self.model, chosen, self.families)
         #: Where the network runs.
         self.engine: Engine = engine or engine_of_model(self.model, threads, chosen)
         self._owns_engine = engine is None

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 
 from stillray.families.contract import Engine, Family
 from stillray.families.frame_graph import FrameGraphModel
+from stillray.families.registry import FAMILIES
 from stillray.model_spec.loader import ModelSpec
 from stillray.models.frame_session import FrameSession, device_of
 from stillray.models.registry import (
@@ -35,9 +36,26 @@ def model_of(model: str | os.PathLike[str] | ModelInfo) -> ModelInfo:
 
 
 def family_of_model(
-    model: ModelInfo, families: Mapping[str, Callable[[ModelSpec], Family]], providers: Providers
+    model: ModelInfo,
+    providers: Providers = None,
+    families: Mapping[str, Callable[[ModelSpec], Family]] = FAMILIES,
 ) -> Family:
-    """What decides and steps for a model."""
+    """What decides and steps for a model.
+
+    Parameters
+    ----------
+    model
+        From `model_of`.
+    providers
+        That run it, of which a frame graph's stage tells.
+    families
+        What makes a family's model of its specification.
+
+    Raises
+    ------
+    InputError
+        The model is a frame graph that does not take frames, or gives no picture.
+    """
     if model.ports is None:
         return families[model.family](model.spec)
     device, number = device_of(providers)

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from stillray.arrays.strips import Strips
-from stillray.families.contract import Context, Request
-from stillray.families.registry import family_of
+from stillray.families.contract import Context, Family, Request
 from stillray.frame import Frame
-from stillray.model_spec.loader import ModelSpec
 from stillray.stages.plan import Plan
 
 
-def plan_frames(frames: Iterable[Frame], spec: ModelSpec, *, temporal: bool) -> list[Plan]:
+def plan_frames(frames: Iterable[Frame], family: Family, *, temporal: bool) -> list[Plan]:
     """What would run for frames in their order, the first of which begins anew."""
-    family, request, strips = family_of(spec), Request(temporal=temporal), Strips(1)
+    request, strips = Request(temporal=temporal), Strips(1)
     plans: list[Plan] = []
     for frame in frames:
         before = plans[-1] if plans else None

@@ -1,4 +1,5 @@
-"""A frame graph in `stillray.Denoiser`: all stages where a provider runs them, and the state there.
+"""A frame graph where a model is named, in `stillray.Denoiser` and from files to files: all stages
+run where a provider runs them, and the state is kept there.
 
 The CPU is a provider as any other: bindings and states go the same way, in main memory.
 """
@@ -6,6 +7,8 @@ The CPU is a provider as any other: bindings and states go the same way, in main
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +18,12 @@ torch = pytest.importorskip("torch")
 import onnx  # noqa: E402
 
 import stillray  # noqa: E402
+from stillray.batch.api import ShotOptions, plan_run  # noqa: E402
+from stillray.batch.chunks import denoise_chunk, split  # noqa: E402
+from stillray.cli import main  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
 from stillray.frame import Frame  # noqa: E402
+from stillray.io.exr.read_write import read_exr, read_picture, write_channels  # noqa: E402
 from stillray.models.frame_graph import PORTS_KEY  # noqa: E402
 from stillray.models.frame_session import FrameSession, device_of  # noqa: E402
 from stillray.models.registry import find_model, with_overrides  # noqa: E402
@@ -26,6 +33,8 @@ from tests.export.frame_graph.moving import sequence  # noqa: E402
 NAME = "kpyr-5s"
 CPU = "CPUExecutionProvider"
 CUT = 5  # of the sequence
+ROOM = Path(__file__).parents[2] / "data" / "room"
+CUT_IN_FILES = 3  # the number of a frame of `shot`
 #: dB of tone-mapped pictures
 PARITY = 80
 
@@ -201,3 +210,91 @@ def test_bent_graphs_are_refused_in_one_line(path, tmp_path, bend, message):
 )
 def test_the_state_is_kept_where_the_first_provider_keeps_tensors(providers, device):
     assert device_of(providers) == device
+
+
+def turned(frame):
+    """The frame as in a mirror, motion too."""
+    buffers = {name: getattr(frame, name)[:, ::-1] for name in ("color", "albedo", "normal")}
+    motion = frame.motion[:, ::-1] * np.float32([-1, 1])
+    return replace(frame, **buffers, depth=frame.depth[:, ::-1], motion=motion)
+
+
+@pytest.fixture
+def shot(tmp_path, monkeypatch):
+    """Four frames with a cut in the middle, in the current folder; large enough to find it."""
+    monkeypatch.chdir(tmp_path)
+    for number in range(1, 5):
+        frame = read_exr(ROOM / f"frame_{number:04d}.exr")
+        frame = turned(frame) if number >= CUT_IN_FILES else frame
+        channels = {name: frame.color[..., i] for i, name in enumerate("RGB")}
+        channels |= {f"albedo.{name}": frame.albedo[..., i] for i, name in enumerate("RGB")}
+        channels |= {f"normal.{name}": frame.normal[..., i] for i, name in enumerate("XYZ")}
+        channels |= {f"motion.{name}": frame.motion[..., i] for i, name in enumerate("XY")}
+        channels |= {"depth.Z": frame.depth}
+        cropped = {name: np.ascontiguousarray(plane[:96, :144]) for name, plane in channels.items()}
+        write_channels(tmp_path / f"shot.{number}.exr", cropped)
+    return tmp_path
+
+
+def run(path, *options):
+    command = ["denoise", "shot.#.exr", "-o", "clean.#.exr", "-m", str(path), "--threads", "1"]
+    return main([*command, *options])
+
+
+def events(capsys):
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def pictures():
+    return [read_picture(f"clean.{number}.exr") for number in range(1, 5)]
+
+
+def test_files_with_a_cut_are_those_of_the_denoiser_also_in_parts(path, shot, denoiser, capsys):
+    assert run(path, "--json") == 0
+    *frames, _ = events(capsys)
+    assert [f["number"] for f in frames if f["cut"] is not None] == [CUT_IN_FILES]
+    whole = pictures()
+    for number, picture in enumerate(whole, 1):
+        if number == CUT_IN_FILES:
+            denoiser.reset()
+        wanted = denoiser.denoise(read_exr(f"shot.{number}.exr"))
+        np.testing.assert_array_equal(picture, wanted.astype(np.float16))
+
+    for number in (2, 4):  # as if it had been killed, or were another machine's
+        (shot / f"clean.{number}.exr").unlink()
+    assert run(path, "--json", "--resume", "--frames", "1-2") == 0
+    assert [f["output"] for f in events(capsys)[:-1]] == [None, "clean.2.exr"]
+    planned = plan_run(["shot.#.exr"], "clean.#.exr", str(path), ShotOptions(workers=2, chunk=2))
+    chunk = split(planned.jobs, 2, memory=planned.work.memory)["3-4"]
+    done = denoise_chunk(chunk, 1, work=planned.work)
+    assert (done.already, done.error) == (1, None)
+    np.testing.assert_array_equal(pictures(), whole)
+
+
+def test_a_dry_run_tells_what_the_graph_does_of_each_frame(path, shot, capsys):
+    assert run(path, "--dry-run", "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["model"] == f"{NAME}.frame"
+    first, following = facts["stages_first"], facts["stages_following"]
+    assert [stage["name"] for stage in (*first, *following)] == ["frame", "frame"]
+    assert "begins anew" in first[0]["reason"]
+    assert "goes on" in following[0]["reason"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--aovs", "all"), f"aovs must not be given with {NAME}.frame, which denoises the beauty"),
+        (("--max-memory", "4G"), f"max-memory must not be given with {NAME}.frame"),
+        (("--state", "past.npz"), "state must be that of a model that learns"),
+        (("--provider", "NoSuch"), "providers must be among"),
+    ],
+)
+def test_what_a_graph_cannot_do_with_files_is_refused_in_one_line(
+    path, shot, capsys, options, message
+):
+    assert run(path, "--quiet", *options) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not list(shot.glob("clean*"))
