@@ -162,6 +162,34 @@ def test_specifications_are_narrowed_in_constructors_only():
     assert narrowed(sources("stillray", "stillray_export")) == []
 
 
+_A_NETWORK = "makes a network of one family, as a constructor does"
+_A_DECODER = "reconstructs for one family, by the signature that all families have in training"
+_A_STUDY = "of one family, whose options it changes or prints"
+#: Functions of training that look all the same, and why.
+NARROWED_IN_TRAINING = {
+    "stillray_training.ablation.variants._multi_resolution": _A_STUDY,
+    "stillray_training.ablation.variants._with": _A_STUDY,
+    "stillray_training.families._fused": _A_DECODER,
+    "stillray_training.families._grids": _A_DECODER,
+    "stillray_training.families._multires": _A_DECODER,
+    "stillray_training.families._pyramid": _A_DECODER,
+    "stillray_training.grid_study.changes": _A_STUDY,
+    "stillray_training.grid_study.main": _A_STUDY,
+    "stillray_training.grid_study.times": _A_STUDY,
+    "stillray_training.networks.multi_branch.multi_branch_net": _A_NETWORK,
+    "stillray_training.networks.pyramid.kernel_pyramid_net": _A_NETWORK,
+    "stillray_training.networks.pyramid.multi_resolution_net": _A_NETWORK,
+    "stillray_training.peers.kernel_prediction.options_of": "a peer's options, of its model's",
+    "stillray_training.peers.multi_resolution_prediction._decode": _A_DECODER,
+    "stillray_training.peers.multi_resolution_prediction._network": _A_NETWORK,
+    "stillray_training.upscaling.clips.load_clip": "of the one family that has clips",
+}
+
+
+def test_training_narrows_specifications_in_few_functions_more():
+    assert set(narrowed(sources("stillray_training"))) <= NARROWED_IN_TRAINING.keys()
+
+
 def test_one_function_that_asks_for_options_is_found():
     text = "class A:\n    def f(self, s):\n        assert isinstance(s.decoder, A | FusedKernels)\n"
     assert narrowed({"stillray.x": text}) == ["stillray.x.A.f"]

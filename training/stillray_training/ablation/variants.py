@@ -10,7 +10,7 @@ import dataclasses
 from dataclasses import dataclass
 
 from stillray.model_spec import ModelSpec, load
-from stillray.model_spec.loader import FusedKernels, ImportanceNetwork, PyramidNetwork
+from stillray.model_spec.loader import ImportanceNetwork, PyramidNetwork
 from stillray_training.families import FAMILIES, Family
 from stillray_training.networks.repvgg import without_branches
 from stillray_training.peers import kernel_prediction, multi_resolution_prediction
@@ -175,7 +175,6 @@ def _with(
     spec: ModelSpec, name: str, *, blocks: int = 6, sizes: tuple[int, ...] = SIZES
 ) -> ModelSpec:
     assert isinstance(spec.network, ImportanceNetwork)
-    assert isinstance(spec.decoder, FusedKernels)
     return dataclasses.replace(
         spec,
         name=name,
@@ -186,7 +185,7 @@ def _with(
             widths=(_WIDTH,) * (blocks - 1),
             kernel_sizes=spec.network.kernel_sizes[:1] * blocks,
         ),
-        decoder=dataclasses.replace(spec.decoder, kernel_sizes=sizes),
+        decoder=spec.decoder.with_kernels(sizes),
     )
 
 
@@ -212,9 +211,7 @@ def _multi_resolution(base: ModelSpec) -> ModelSpec:
 
 
 def _with_kernel(spec: ModelSpec, name: str, size: int) -> ModelSpec:
-    assert isinstance(spec.decoder, FusedKernels)
-    decoder = dataclasses.replace(spec.decoder, kernel_sizes=(size,))
-    return dataclasses.replace(spec, name=name, decoder=decoder)
+    return dataclasses.replace(spec, name=name, decoder=spec.decoder.with_kernels((size,)))
 
 
 def _reseeded(spec: ModelSpec) -> ModelSpec:
