@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,12 +12,15 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
 import stillray  # noqa: E402
+from stillray.errors import InputError  # noqa: E402
 from stillray.io.exr.read_write import read_exr, write_channels  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray_export import feature_filters, to_onnx  # noqa: E402
 from stillray_export.parity import ParityError  # noqa: E402
 from stillray_training.networks.fuse import fuse  # noqa: E402
 from stillray_training.networks.multi_branch import multi_branch_net  # noqa: E402
+from stillray_training.simulate.sequence import RECORD, write  # noqa: E402
+from stillray_training.upscaling import compare  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +55,31 @@ def test_the_file_runs_in_the_runtime(rng, exported):
             image = denoiser.denoise(stillray.Frame(color=color, motion=motion))
             assert image.shape == (10, 14, 3)
             assert np.isfinite(image).all()
+
+
+def test_it_is_compared_with_enlarged_pictures_and_with_all_pixels_traced(exported, tmp_path):
+    pytest.importorskip("pyoidn", reason="a peer, of the extra compare")
+    rng = np.random.default_rng(3)
+    half, full = tmp_path / "half" / "room-0", tmp_path / "full" / "room"
+    half.mkdir(parents=True)
+    full.mkdir(parents=True)
+    (half / RECORD).write_text(json.dumps({"scene": "room"}))
+    for number in range(2):
+        wanted = np.tile(rng.random((1, 32, 3), np.float32), (24, 1, 1))
+        write(half / f"ref_{number:04d}.exr", {"color": wanted})
+        for folder, color in ((half, wanted[::2, ::2]), (full, wanted)):
+            buffers = {"color": color, "albedo": color, "normal": np.ones_like(color)}
+            write(folder / f"frame_{number:04d}.exr", buffers)
+    path = str(exported[1])
+    found = compare.measure(half, path, "kpyr-5s", full.parent)
+    assert list(found) == [
+        "munet-x2", "kpyr-5s + Lanczos", "oidn-high + Lanczos",
+        "kpyr-5s, all pixels traced", "oidn-high, all pixels traced",
+    ]  # fmt: skip
+    # frames without noise: of all pixels every stripe is there, of a quarter half of them are
+    assert found["oidn-high, all pixels traced"]["psnr"] > found["oidn-high + Lanczos"]["psnr"] + 10
+    with pytest.raises(InputError, match="full must hold room-0's scene of"):
+        compare.measure(half, path, "kpyr-5s", tmp_path)
 
 
 class Notes:

@@ -27,41 +27,75 @@ from stillray.io.exr.read_write import read_exr
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.dataset import find_sequences
 from stillray_training.peers.oidn import open_image_denoise
+from stillray_training.simulate.sequence import RECORD
 
-OURS, OIDN = "{} + Lanczos", "oidn-high + Lanczos"
+ENLARGED, TRACED = "{} + Lanczos", "{}, all pixels traced"
+OIDN = "oidn-high"
 _MEASURED = ("psnr", "ssim", "smape", "flip", "flicker")
 _PICTURES = 2
 
 
-def measure(sequence: Path, model: str, flagship: str) -> dict[str, dict[str, float]]:
+def measure(
+    sequence: Path, model: str, flagship: str, full: Path | None = None
+) -> dict[str, dict[str, float]]:
     """Metrics by method of the last frame of a sequence.
+
+    Parameters
+    ----------
+    sequence
+        Its frames, and references of the model's size of the last two.
+    model
+        What doubles.
+    flagship
+        Whose pictures are enlarged.
+    full
+        Folder of the same scenes traced at the references' size, by name: what the flagship and
+        Open Image Denoise make of all pixels is measured, too.
 
     Raises
     ------
     InputError
-        Its last frames have no references of the model's size.
+        Its last frames have no references of the model's size, or ``full`` is of another size.
     """
-    frames = [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
+    frames = _frames(sequence)
     paths = sorted(sequence.glob("target_*.exr")) or sorted(sequence.glob("ref_*.exr"))
     references = [read_exr(path).color for path in paths[-_PICTURES:]]
-    with Denoiser(model, threads=1) as denoiser, Denoiser(flagship, threads=1) as plain:
-        scale, name = denoiser.scale, denoiser.model.name
-        size = tuple(side * scale for side in frames[-1].shape)
-        if len(references) < _PICTURES or references[-1].shape[:2] != size:
-            raise InputError(f"{sequence}: the last {_PICTURES} frames must have references {size}")
-        ours = [denoiser.denoise(frame) for frame in frames][-_PICTURES:]
-        first = [enlarge(plain.denoise(frame), scale) for frame in frames][-_PICTURES:]
-        title = OURS.format(plain.model.name)
-    peers = [enlarge(_oidn(frame), scale) for frame in frames[-_PICTURES:]]
-    methods = {name: ours, title: first, OIDN: peers}
+    (name, scale, ours), (title, _, first) = _denoised(model, frames), _denoised(flagship, frames)
+    size = tuple(side * scale for side in frames[-1].shape)
+    if len(references) < _PICTURES or references[-1].shape[:2] != size:
+        raise InputError(f"{sequence}: the last {_PICTURES} frames must have references {size}")
+    methods = {name: ours}
+    for method, images in ((title, first), (OIDN, _oidn(frames))):
+        methods[ENLARGED.format(method)] = [enlarge(image, scale) for image in images]
+    if full is not None:
+        traced = _frames(full / json.loads((sequence / RECORD).read_text())["scene"])
+        if not traced or traced[-1].shape != size:
+            raise InputError(f"full must hold {sequence.name}'s scene of {size}, got {full}")
+        methods[TRACED.format(title)] = _denoised(flagship, traced)[2]
+        methods[TRACED.format(OIDN)] = _oidn(traced)
     return {
         method: metrics.evaluate(images, references, names=_MEASURED)
         for method, images in methods.items()
     }
 
 
-def _oidn(frame: Frame) -> np.ndarray:
-    return open_image_denoise(frame.color, frame.albedo, frame.normal, "high")
+def _frames(sequence: Path) -> list[Frame]:
+    return [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
+
+
+def _denoised(model: str, frames: list[Frame]) -> tuple[str, int, list[np.ndarray]]:
+    """A model's name and scale, and its last pictures."""
+    with Denoiser(model, threads=1) as denoiser:
+        images = [denoiser.denoise(frame) for frame in frames]
+        return denoiser.model.name, denoiser.scale, images[-_PICTURES:]
+
+
+def _oidn(frames: list[Frame]) -> list[np.ndarray]:
+    """Open Image Denoise's last pictures."""
+    return [
+        open_image_denoise(frame.color, frame.albedo, frame.normal, "high")
+        for frame in frames[-_PICTURES:]
+    ]
 
 
 def mean(found: list[Mapping[str, Mapping[str, float]]]) -> dict[str, dict[str, float]]:
@@ -78,6 +112,9 @@ def main(
     data: Annotated[Path, typer.Argument(help="Folder of rendered sequences.")],
     model: Annotated[str, typer.Option(help="The model, or the path of its .onnx file.")],
     flagship: Annotated[str, typer.Option(help="Whose pictures are enlarged beside it.")] = "high",
+    full: Annotated[
+        Path | None, typer.Option(help="Folder of the same scenes traced at full size, by name.")
+    ] = None,
     only: Annotated[str, typer.Option(help="Pattern of the sequences' names.")] = "*",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
@@ -85,7 +122,7 @@ def main(
     sequences = [path for path in find_sequences(data) if path.match(only)]
     if not sequences:
         raise InputError(f"data must hold finished sequences, got {data}")
-    found = mean([measure(sequence, model, flagship) for sequence in sequences])
+    found = mean([measure(sequence, model, flagship, full) for sequence in sequences])
     if as_json:
         print(json.dumps(found, indent=1))
         return
