@@ -15,7 +15,7 @@ from stillray.errors import InputError  # noqa: E402
 from stillray.io.exr.read_write import read_exr, write_channels  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray.models.registry import list_models  # noqa: E402
-from stillray_training import patch_training, provenance, train  # noqa: E402
+from stillray_training import patch_training, provenance, run, train  # noqa: E402
 from stillray_training.checkpoint import CHECKPOINT  # noqa: E402
 from stillray_training.dataset import (  # noqa: E402
     NOISY,
@@ -175,13 +175,13 @@ def test_training_lowers_the_loss_and_resumes_where_it_stopped(data, small, tmp_
     whole = patch_training.train(small, [data], tmp_path / "whole", save_every=10)
     half = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=20))
     # the learning rate follows the recipe's length: keep it, stop early
-    original = patch_training.learning_rate
+    original = run.learning_rate
     try:
-        patch_training.learning_rate = lambda step, _: original(step, small)
+        run.learning_rate = lambda step, _: original(step, small)
         patch_training.train(half, [data], tmp_path / "parts", save_every=10)
         resumed = patch_training.train(small, [data], tmp_path / "parts", save_every=10)
     finally:
-        patch_training.learning_rate = original
+        run.learning_rate = original
     for one, other in zip(whole.parameters(), resumed.parameters(), strict=True):
         torch.testing.assert_close(one, other)
     with (tmp_path / "parts" / "log.csv").open() as file:

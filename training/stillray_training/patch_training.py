@@ -6,36 +6,27 @@ steps.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
-import json
-import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import torch
-from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+from rich.progress import Progress
 from torch import Tensor, nn
 from torch.utils._pytree import tree_map
 
 from stillray.arrays.strips import Strips
-from stillray.errors import InputError
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec
-from stillray_training.checkpoint import CHECKPOINT, restore, save
 from stillray_training.dataset import (
     NOISY,
     Batch,
     Example,
     PatchSampler,
-    find_sequences,
     load_examples,
     previous_outputs,
 )
 from stillray_training.families import FAMILIES, Family
-from stillray_training.loss_log import LOG, LOG_EVERY, forget_after, log_loss
 from stillray_training.losses import (
     blur_error,
     displayed,
@@ -48,9 +39,7 @@ from stillray_training.losses import (
 )
 from stillray_training.networks.fuse import fuse
 from stillray_training.onnx_graph import network_graph
-from stillray_training.provenance import ASSETS, assets_of
-from stillray_training.schedule import follow, learning_rate, optimiser_of
-from stillray_training.start import STARTED_FROM, start_from
+from stillray_training.run import Run, progress_bar, sequences_in
 
 #: Whether the processor multiplies bfloat16 itself; where it does not, a step takes far longer.
 HAS_BFLOAT16 = any(
@@ -138,59 +127,34 @@ def train(
     InputError
         There are no finished sequences, or the checkpoint belongs to another spec.
     """
-    sequences = _all_sequences(data)
+    sequences = sequences_in(data)
     family = family or FAMILIES[spec.family]
-    out.mkdir(parents=True, exist_ok=True)
-    torch.manual_seed(spec.training.seed)
+    recipe = spec.training
+    torch.manual_seed(recipe.seed)
     network = family.network(spec)
-    optimiser = optimiser_of(network, spec.training)
-    average = copy.deepcopy(network) if spec.training.average else network
-    step = restore(out / CHECKPOINT, spec, network, optimiser, average)
-    if start is not None and step == 0:
-        origin = start_from(start, network, spec)
-        (out / STARTED_FROM).write_text(json.dumps(origin, indent=1))
-        average.load_state_dict(network.state_dict())
-    with Progress(
-        *Progress.get_default_columns()[:3],
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        transient=not sys.stderr.isatty(),
-    ) as progress:
+    run = Run(spec, network, sequences, out)
+    if start is not None:
+        run.start_from(start)
+    with progress_bar() as progress:
         # a list of its own: previous outputs are this model's
         examples = list(examples) or load_all(data, spec, progress)
-        forget_after(out / LOG, step)
-        (out / "data.json").write_text(json.dumps([path.name for path in sequences], indent=1))
-        (out / ASSETS).write_text(json.dumps(assets_of(list(sequences)), indent=1))
-        recipe = spec.training
-        resumed = recipe.history_from and step > recipe.history_from
-        if resumed and (step - recipe.history_from) % recipe.history_every:
+        resumed = recipe.history_from and run.step > recipe.history_from
+        if resumed and (run.step - recipe.history_from) % recipe.history_every:
             _refresh_previous_output(examples, sequences, out / PREVIOUS, progress)
         sampler = PatchSampler(examples, spec)
-        task = progress.add_task(spec.name, total=spec.training.steps, completed=step)
-        losses: list[float] = []
-        began = time.monotonic()
-        while step < spec.training.steps:
+
+        def renew(step: int) -> None:
             since = step - recipe.history_from
             if recipe.history_from and since >= 0 and since % recipe.history_every == 0:
-                _export_for_previous_output(average, spec, out / PREVIOUS)
+                _export_for_previous_output(run.average, spec, out / PREVIOUS)
                 _refresh_previous_output(examples, sequences, out / PREVIOUS, progress)
-            for group in optimiser.param_groups:
-                group["lr"] = learning_rate(step, spec)
-            loss = reconstruct_loss(network, sampler.batch(step), spec, family)
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            if average is not network:
-                follow(average, network, min(spec.training.average, step / (step + 10)))
-            losses.append(loss.item())
-            step += 1
-            progress.advance(task)
-            if step % LOG_EVERY == 0:
-                log_loss(out / LOG, step, float(np.mean(losses)), time.monotonic() - began)
-                losses = []
-            if step % save_every == 0 or step == spec.training.steps:
-                save(out / CHECKPOINT, spec, network, optimiser, average, step)
-    return average
+
+        return run.finish(
+            lambda step: reconstruct_loss(network, sampler.batch(step), spec, family),
+            progress,
+            before=renew,
+            save_every=save_every,
+        )
 
 
 def load_all(data: list[Path], spec: ModelSpec, progress: Progress) -> list[Example]:
@@ -201,23 +165,13 @@ def load_all(data: list[Path], spec: ModelSpec, progress: Progress) -> list[Exam
     InputError
         There are no finished sequences.
     """
-    sequences = _all_sequences(data)
+    sequences = sequences_in(data)
     loading = progress.add_task("load", total=len(sequences))
     examples: list[Example] = []
     for sequence in sequences:
         examples += load_examples(sequence, spec, Strips(1))
         progress.advance(loading)
     return examples
-
-
-def _all_sequences(data: list[Path]) -> list[Path]:
-    sequences = [path for folder in data for path in find_sequences(folder)]
-    if not sequences:
-        raise InputError(
-            f"data must hold finished sequences, got {', '.join(map(str, data))}; stillray-gather "
-            "makes them of renders of your own"
-        )
-    return sequences
 
 
 def _export_for_previous_output(network: nn.Module, spec: ModelSpec, path: Path) -> None:

@@ -9,32 +9,21 @@ reach back to the first.
 
 from __future__ import annotations
 
-import copy
-import json
-import sys
-import time
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
 import torch
-from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from torch import Tensor, nn
 
 from stillray.arrays.strips import Strips
-from stillray.errors import InputError
 from stillray.families.feature_filters import FeatureFiltersModel
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import Training
-from stillray_training.checkpoint import CHECKPOINT, restore, save
-from stillray_training.dataset import find_sequences
 from stillray_training.decoders.feature_filters import Remembered
-from stillray_training.loss_log import LOG, LOG_EVERY, forget_after, log_loss
 from stillray_training.losses import displayed, dissimilarity, per_patch, smape
 from stillray_training.networks.multi_branch import multi_branch_net
-from stillray_training.provenance import ASSETS, assets_of
-from stillray_training.schedule import follow, learning_rate, optimiser_of
-from stillray_training.upscaling.clips import Clip, ClipSampler, Sample, load_clip
+from stillray_training.run import Run, progress_bar, sequences_in
+from stillray_training.upscaling.clips import ClipSampler, Sample, load_clip
 from stillray_training.upscaling.unroll import step as unrolled_step
 from stillray_training.upscaling.unroll import warped
 
@@ -131,48 +120,20 @@ def train_recurrent(
         There are no finished sequences, one lacks what the model learns from, or the checkpoint
         belongs to another spec.
     """
-    sequences = [path for folder in data for path in find_sequences(folder)]
-    if not sequences:
-        raise InputError(f"data must hold finished sequences, got {', '.join(map(str, data))}")
-    out.mkdir(parents=True, exist_ok=True)
+    sequences = sequences_in(data)
     recipe = spec.training
     torch.manual_seed(recipe.seed)
-    network: nn.Module = multi_branch_net(spec)
-    optimiser = optimiser_of(network, recipe)
-    average = copy.deepcopy(network) if recipe.average else network
-    step = restore(out / CHECKPOINT, spec, network, optimiser, average)
-    forget_after(out / LOG, step)
-    (out / "data.json").write_text(json.dumps([path.name for path in sequences], indent=1))
-    (out / ASSETS).write_text(json.dumps(assets_of(sequences), indent=1))
-    with Progress(
-        *Progress.get_default_columns()[:3],
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        transient=not sys.stderr.isatty(),
-    ) as progress:
-        clips: list[Clip] = []
-        for sequence in progress.track(sequences, description="load"):
-            clips.append(load_clip(sequence, spec, Strips(1)))
+    network = multi_branch_net(spec)
+    run = Run(spec, network, sequences, out)
+    with progress_bar() as progress:
+        clips = [
+            load_clip(sequence, spec, Strips(1))
+            for sequence in progress.track(sequences, description="load")
+        ]
         sampler = ClipSampler(clips, spec)
-        task = progress.add_task(spec.name, total=recipe.steps, completed=step)
-        losses: list[float] = []
-        began = time.monotonic()
-        while step < recipe.steps:
-            for group in optimiser.param_groups:
-                group["lr"] = learning_rate(step, spec)
-            loss = sequence_loss(network, sampler.batch(step), spec, step / recipe.steps)
-            optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(network.parameters(), _MOST_GRADIENT)
-            optimiser.step()
-            if average is not network:
-                follow(average, network, min(recipe.average, step / (step + 10)))
-            losses.append(loss.item())
-            step += 1
-            progress.advance(task)
-            if step % LOG_EVERY == 0:
-                log_loss(out / LOG, step, float(np.mean(losses)), time.monotonic() - began)
-                losses = []
-            if step % save_every == 0 or step == recipe.steps:
-                save(out / CHECKPOINT, spec, network, optimiser, average, step)
-    return average
+        return run.finish(
+            lambda step: sequence_loss(network, sampler.batch(step), spec, step / recipe.steps),
+            progress,
+            most_gradient=_MOST_GRADIENT,
+            save_every=save_every,
+        )

@@ -1,0 +1,157 @@
+"""A training under way: what learns, how far it is, and the folder that it is resumed from."""
+
+from __future__ import annotations
+
+import copy
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+from torch import Tensor, nn
+
+from stillray.errors import InputError
+from stillray.model_spec import ModelSpec
+from stillray_training.checkpoint import CHECKPOINT, restore, save
+from stillray_training.dataset import find_sequences
+from stillray_training.loss_log import LOG, LOG_EVERY, forget_after, log_loss
+from stillray_training.provenance import ASSETS, assets_of
+from stillray_training.schedule import follow, learning_rate, optimiser_of
+from stillray_training.start import STARTED_FROM, start_from
+
+
+class Run:
+    """A training that stops and goes on at any step.
+
+    Parameters
+    ----------
+    spec
+        The model and its recipe.
+    network
+        What learns; takes the weights of the checkpoint in ``out``, if there is one.
+    sequences
+        What it learns from, for the record.
+    out
+        Folder for the checkpoint, the log and the records; made if missing.
+
+    Attributes
+    ----------
+    average
+        The running mean of the weights, which is kept; the network itself if the recipe has none.
+    step
+        How many are done.
+
+    Raises
+    ------
+    InputError
+        The checkpoint belongs to another spec or optimiser.
+    """
+
+    def __init__(
+        self, spec: ModelSpec, network: nn.Module, sequences: Sequence[Path], out: Path
+    ) -> None:
+        self._spec, self._network, self._out = spec, network, out
+        self._optimiser = optimiser_of(network, spec.training)
+        self.average = copy.deepcopy(network) if spec.training.average else network
+        out.mkdir(parents=True, exist_ok=True)
+        self.step = restore(out / CHECKPOINT, spec, network, self._optimiser, self.average)
+        forget_after(out / LOG, self.step)
+        (out / "data.json").write_text(json.dumps([path.name for path in sequences], indent=1))
+        (out / ASSETS).write_text(json.dumps(assets_of(list(sequences)), indent=1))
+
+    def start_from(self, model: str | Path) -> None:
+        """Take over the weights of a similar model, unless the run is past its beginning."""
+        if self.step == 0:
+            origin = start_from(model, self._network, self._spec)
+            (self._out / STARTED_FROM).write_text(json.dumps(origin, indent=1))
+            self.average.load_state_dict(self._network.state_dict())
+
+    def finish(
+        self,
+        loss_at: Callable[[int], Tensor],
+        progress: Progress,
+        *,
+        before: Callable[[int], None] = lambda step: None,
+        most_gradient: float = float("inf"),
+        save_every: int = 200,
+    ) -> nn.Module:
+        """All steps that are left; the network that is kept.
+
+        Parameters
+        ----------
+        loss_at
+            The loss of a step.
+        progress
+            Where the steps are shown.
+        before
+            What is done before each step.
+        most_gradient
+            Norm of the gradient beyond which it is made shorter.
+        save_every
+            Steps between checkpoints.
+        """
+        recipe = self._spec.training
+        task = progress.add_task(self._spec.name, total=recipe.steps, completed=self.step)
+        losses: list[float] = []
+        began = time.monotonic()
+        while self.step < recipe.steps:
+            before(self.step)
+            losses.append(self._learn(loss_at(self.step), most_gradient))
+            self.step += 1
+            progress.advance(task)
+            if self.step % LOG_EVERY == 0:
+                seconds = time.monotonic() - began
+                log_loss(self._out / LOG, self.step, float(np.mean(losses)), seconds)
+                losses = []
+            if self.step % save_every == 0 or self.step == recipe.steps:
+                self._save()
+        return self.average
+
+    def _learn(self, loss: Tensor, most_gradient: float) -> float:
+        """One step of the optimiser; the loss."""
+        for group in self._optimiser.param_groups:
+            group["lr"] = learning_rate(self.step, self._spec)
+        self._optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        if most_gradient < float("inf"):
+            torch.nn.utils.clip_grad_norm_(self._network.parameters(), most_gradient)
+        self._optimiser.step()
+        if self.average is not self._network:
+            decay = min(self._spec.training.average, self.step / (self.step + 10))
+            follow(self.average, self._network, decay)
+        return loss.item()
+
+    def _save(self) -> None:
+        path = self._out / CHECKPOINT
+        save(path, self._spec, self._network, self._optimiser, self.average, self.step)
+
+
+def sequences_in(data: Sequence[Path]) -> list[Path]:
+    """All finished sequences of some folders.
+
+    Raises
+    ------
+    InputError
+        There are none.
+    """
+    sequences = [path for folder in data for path in find_sequences(folder)]
+    if not sequences:
+        raise InputError(
+            f"data must hold finished sequences, got {', '.join(map(str, data))}; stillray-gather "
+            "makes them of renders of your own"
+        )
+    return sequences
+
+
+def progress_bar() -> Progress:
+    """Steps done, of all, and the time that is left; nothing stays on a terminal's end."""
+    return Progress(
+        *Progress.get_default_columns()[:3],
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        transient=not sys.stderr.isatty(),
+    )
