@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from stillray.models.network_graph import Interface, Planes
 from stillray.models.registry import ModelInfo
 from stillray.pipeline.denoiser import Denoiser
 from stillray.stages import features
+from stillray.stages.accumulate import bounded
 from stillray_training.networks.multi_branch import multi_branch_net
 from stillray_training.upscaling import unroll
 
@@ -155,7 +157,8 @@ def test_training_sees_what_the_runtime_does(rng, denoiser):
         exposure = (
             own if exposure is None else features.steady_exposure(own, exposure, spec.transfer)
         )
-        sample = as_training_does(one, spec, exposure)
+        light = bounded(one.color, exposure, spec.transfer, spec.temporal)
+        sample = as_training_does(replace(one, color=light), spec, exposure)
 
         def tripled(planes):
             return tuple(3 * part for part in network(planes))

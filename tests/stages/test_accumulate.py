@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from stillray.arrays.strips import planes_of
+from stillray.model_spec import load
 from stillray.stages.accumulate import (
     FIRST_SHARE,
     MIN_WEIGHT,
     accumulate,
+    bounded,
     clamp_fireflies,
     sample_weight,
 )
@@ -128,3 +130,22 @@ def test_too_low_a_weight_makes_the_sample_darker_instead(rng):
     assert weight.min() == np.float32(MIN_WEIGHT)
     np.testing.assert_allclose(bounded * weight[..., None], products, rtol=1e-6)
     np.testing.assert_array_equal(bounded[0], before[0])
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_what_stands_far_above_its_surroundings_is_bounded_and_noise_is_not(rng, scale):
+    spec = load("munet-x2")
+    radiance = (scale * rng.exponential(1.0, (40, 50, 1)) * [0.9, 0.6, 0.3]).astype(np.float32)
+    fireflies = radiance.copy()
+    fireflies[20, 25] = np.float32(3e38)
+    fireflies[5, 40] = scale * 100 * np.float32([0.9, 0.6, 0.3])
+    given = fireflies.copy()
+    found = bounded(given, 0.5 / scale, spec.transfer, spec.temporal)
+    np.testing.assert_array_equal(given, fireflies)
+    ordinary = np.ones((40, 50), bool)
+    ordinary[20, 25] = ordinary[5, 40] = False
+    np.testing.assert_allclose(found[ordinary], radiance[ordinary], rtol=0.01)
+    assert 100 * scale < found[20, 25].max() < 300 * scale
+    # a highlight stays one, and keeps its color
+    assert found[5, 40, 0] > 50 * scale
+    np.testing.assert_allclose(found[5, 40] / found[5, 40, 0], [1, 2 / 3, 1 / 3], rtol=1e-5)

@@ -25,6 +25,7 @@ from stillray.families.target_planes import Known, Surfaces, fill_planes, log_de
 from stillray.frame import Frame
 from stillray.model_spec.loader import BranchNetwork, FeatureFilters, ModelSpec
 from stillray.stages import features
+from stillray.stages.accumulate import bounded
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.repair import Buffers, repair_feature
 from stillray.timing import timed
@@ -169,8 +170,8 @@ class FeatureFiltersModel:
         return (
             Stage("inspect", True, "values tell what a frame calls for"),
             Stage("repair", not whole, repair),
+            Stage("expose", True, "relative to its brightness; what stands far above is bounded"),
             Stage("enlarge", True, f"to {width} x {height} pixels; samples lie {place}"),
-            Stage("expose", True, "planes are relative to the frame's brightness"),
             Stage("warp", not why_anew, why_anew or "history and motion are there"),
             Stage("encode", True, f"{len(self.spec.network.features)} planes for the network"),
             Stage("network", True, self.spec.name),
@@ -214,11 +215,17 @@ class FeatureFiltersModel:
         def taken(image: np.ndarray | None) -> np.ndarray | None:
             return None if image is None else grid.take(image, every)
 
+        with timed(timings, "expose"):
+            transfer = self.spec.transfer
+            exposure = features.frame_exposure(features.luminance(buffers.color), transfer)
+            if plan.past is not None:
+                exposure = features.steady_exposure(exposure, plan.past.exposure, transfer)
+            color = bounded(buffers.color, exposure, transfer, self.spec.temporal)
         with timed(timings, "enlarge"):
             black = np.zeros((*grid.full, 3), np.float32)
             albedo, specular = taken(buffers.albedo), taken(plan.guides.get("specular_albedo"))
             frame = Enlarged(
-                color=grid.take(buffers.color, every),
+                color=grid.take(color, every),
                 albedo=black if albedo is None else albedo,
                 specular=black if specular is None else specular,
             )
@@ -228,11 +235,6 @@ class FeatureFiltersModel:
                 depth=taken(buffers.depth),
                 depth_unit=1.0 if buffers.depth is None else features.depth_scale(buffers.depth),
             )
-        with timed(timings, "expose"):
-            transfer = self.spec.transfer
-            exposure = features.frame_exposure(features.luminance(buffers.color), transfer)
-            if plan.past is not None:
-                exposure = features.steady_exposure(exposure, plan.past.exposure, transfer)
         past: Past | None = None
         if plan.past is not None and buffers.motion is not None:
             with timed(timings, "warp"):

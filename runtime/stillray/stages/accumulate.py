@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 
 from stillray.arrays.workspace import Workspace
-from stillray.model_spec.loader import Temporal
+from stillray.model_spec.loader import Temporal, Transfer
+from stillray.stages.features import local_luminance, luminance, tone_map
 
 #: Exposed irradiance below which surroundings no longer count as darker.
 DARK = 0.02
@@ -16,6 +17,7 @@ FIRST_SHARE = 0.25
 MIN_WEIGHT = 0.1
 #: Weight of what was filled in from neighbours: better than nothing, and than nothing else.
 FILLED_WEIGHT = 1e-6
+USUAL_PAST = 15.0  # samples held, of which `bounded` measures a sample
 _HUGE = np.float32(1e37)  # relative brightness that float32 still holds, with its reciprocal
 # Up to it a luminance of 1e31, over `DARK`, stays below `_HUGE`; frames of normal exposure do.
 _SAFE_SCALE = 1e4
@@ -86,6 +88,37 @@ def sample_weight(
     weight *= usual
     weight += 1
     return np.reciprocal(weight, out=weight)
+
+
+def bounded(
+    radiance: np.ndarray, exposure: float, transfer: Transfer, options: Temporal
+) -> np.ndarray:
+    """Radiance in which no sample stands far above its surroundings.
+
+    For models that average what a frame shows, not what a past and a weight make of it: a sample
+    is multiplied by the `sample_weight` that it would have beside a past of `USUAL_PAST` samples,
+    so that one of 25 times its surroundings keeps 99 % of its light, and none shows more than 256
+    times as much, with an ``outlier_ratio`` of 64.
+
+    Parameters
+    ----------
+    radiance : (h, w, 3) float32
+        Finite, >= 0; not changed.
+    exposure
+        1 / radiance.
+    transfer
+        How large surroundings are.
+    options
+        The outlier ratio.
+
+    Returns
+    -------
+    (h, w, 3) float32
+    """
+    light = luminance(radiance)
+    local = local_luminance(tone_map(light, exposure), transfer)
+    held = np.full_like(light, USUAL_PAST)
+    return radiance * sample_weight(light, local, held, exposure, options)[..., None]
 
 
 def clamp_fireflies(irradiance: np.ndarray, weight: np.ndarray, out: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from stillray.io.exr.read_write import read_exr
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import FeatureFilters
 from stillray.stages import features
+from stillray.stages.accumulate import bounded
 from stillray_training.simulate.sequence import RECORD
 
 
@@ -69,13 +70,14 @@ def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
         if frame.jitter is None:
             jitter = np.array(record["cameras"][number]["jitter"], np.float32)
             frame = replace(frame, jitter=jitter)
-        frame = replace(frame, motion=dilated(motion, depth, strips))
-        frames.append(frame)
-        references.append(_reference(sequence, number, frame, spec.decoder.scale))
         own = features.frame_exposure(features.luminance(frame.color), spec.transfer)
         if exposures:
             own = features.steady_exposure(own, exposures[-1], spec.transfer)
         exposures.append(own)
+        color = bounded(frame.color, own, spec.transfer, spec.temporal)
+        frame = replace(frame, color=color, motion=dilated(motion, depth, strips))
+        frames.append(frame)
+        references.append(_reference(sequence, number, frame, spec.decoder.scale))
         units.append(features.depth_scale(depth))
     return Clip(frames=frames, references=references, exposures=exposures, depth_units=units)
 
