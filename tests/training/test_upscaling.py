@@ -23,6 +23,7 @@ from stillray_training.networks.repvgg import by_branches  # noqa: E402
 from stillray_training.simulate.sequence import RECORD, write  # noqa: E402
 from stillray_training.upscaling import loop, unroll  # noqa: E402
 from stillray_training.upscaling.clips import ClipSampler, load_clip  # noqa: E402
+from stillray_training.upscaling.time_in_turn import times_in_turn  # noqa: E402
 
 
 def small(name="munet-x2", **recipe):
@@ -183,3 +184,11 @@ def test_gradients_reach_every_weight_through_the_past(tmp_path):
     image, _, _ = unroll.step(network, frames[1], before, names, rules)
     (gradient,) = torch.autograd.grad(image.sum(), frames[0]["color"])
     assert gradient.abs().max() > 0
+
+
+def test_methods_are_timed_in_turn_and_the_first_round_is_left_out():
+    seen = []
+    methods = {name: lambda turn, name=name: seen.append((turn, name)) for name in "ab"}
+    times = times_in_turn(methods, 0.0)
+    assert seen == [(turn, name) for turn in range(4) for name in "ab"]
+    assert {name: len(values) for name, values in times.items()} == {"a": 3, "b": 3}
