@@ -8,6 +8,7 @@ neither is written unless `stillray_export.parity` finds that all forms agree.
 
 from __future__ import annotations
 
+import dataclasses
 import tempfile
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,7 +21,8 @@ from torch import Tensor, nn
 from stillray.cli import program
 from stillray.errors import InputError
 from stillray.io.exr.read_write import atomic_path
-from stillray.model_spec import ModelSpec, from_json
+from stillray.model_spec import ModelSpec, from_json, load
+from stillray.model_spec.loader import SpecError
 from stillray.models.registry import WHOLE_SUFFIX, find_model, require_fit
 from stillray.models.session import checked
 from stillray_export import feature_filters, parity
@@ -154,7 +156,7 @@ def main(
     if not checkpoint.is_file():
         raise InputError(f"run must be a training folder with {CHECKPOINT}, got {run}")
     with safe_open(checkpoint, framework="pt") as file:
-        spec = from_json(file.metadata()["spec"])
+        spec = as_specified_now(from_json(file.metadata()["spec"]))
     network, step = load_network(spec, checkpoint)
     about = {**collect(run, spec, step), "scores": {}}
     if validation is not None:
@@ -166,6 +168,20 @@ def main(
             name: round(value, 4) for name, value in mean_scores(scores)["model"].items()
         }
     print(export(network, spec, about, out))
+
+
+def as_specified_now(trained: ModelSpec) -> ModelSpec:
+    """What a model's file says of it: the rules and prose of today, the recipe that it followed.
+
+    A run's own specification where there is none of its name today, or one of another network.
+    """
+    try:
+        now = load(trained.name)
+    except SpecError:
+        return trained
+    if (now.family, now.network, now.decoder) != (trained.family, trained.network, trained.decoder):
+        return trained
+    return dataclasses.replace(now, training=trained.training)
 
 
 if __name__ == "__main__":

@@ -127,3 +127,19 @@ def test_committed_models_hold_the_specs_of_this_source():
     for info in list_models():
         assert info.spec == load(info.name)
         assert {"data", "steps", "seed", "date", "scores"} <= set(info.provenance)
+
+
+def test_rules_and_prose_are_todays_and_the_recipe_is_the_one_followed():
+    now = load("kpyr-5")
+    recipe = replace(now.training, steps=7)
+    rules = replace(now.temporal, max_samples=3.0)
+    trained = replace(now, temporal=rules, training=recipe, differs=("old; here new",))
+    found = to_onnx.as_specified_now(trained)
+    assert found == replace(now, training=recipe)
+    assert found.differs == now.differs
+    wider = replace(now.network, widths=(16, 32, 48, 64, 98))
+    for other in (
+        replace(trained, network=wider),
+        replace(trained, name="kpyr-9"),
+    ):
+        assert to_onnx.as_specified_now(other) is other
