@@ -30,7 +30,10 @@ def small(name="munet-x2", **recipe):
     """The model with a narrow network and a short recipe."""
     spec = load(name)
     network = replace(spec.network, radiance_widths=(8, 8), guide_widths=(4, 4))
-    defaults = {"steps": 40, "batch": 2, "patch": 16, "frames": 3, "learning_rate": 4e-2}
+    # channels this few are no kernels to Muon
+    defaults = {
+        "steps": 40, "batch": 2, "patch": 16, "frames": 3, "learning_rate": 4e-2, "optimiser": "adam"
+    }  # fmt: skip
     training = replace(spec.training, **{**defaults, **recipe})
     return replace(spec, network=network, training=training)
 
