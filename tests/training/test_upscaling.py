@@ -32,7 +32,8 @@ def small(name="munet-x2", **recipe):
     network = replace(spec.network, radiance_widths=(8, 8), guide_widths=(4, 4))
     # channels this few are no kernels to Muon
     defaults = {
-        "steps": 40, "batch": 2, "patch": 16, "frames": 3, "learning_rate": 4e-2, "optimiser": "adam"
+        "steps": 40, "batch": 2, "patch": 16, "frames": 3, "optimiser": "adam",
+        "learning_rate": 4e-2,
     }  # fmt: skip
     training = replace(spec.training, **{**defaults, **recipe})
     return replace(spec, network=network, training=training)
