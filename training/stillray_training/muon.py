@@ -3,8 +3,8 @@
 Convolution kernels are matrices of outputs by everything that an output reads; their momentum is
 made orthogonal before it is followed, so that directions of little gradient are learned as fast as
 those of much. Everything else (biases, kernels of few channels) follows Adam. ``torch.optim.Muon``
-takes matrices only, and multiplies in bfloat16, which processors that lack it do at a tenth of
-the pace: a step of `kpyr-5` took 1.5 s with it where this one takes 1.1.
+takes matrices only, and multiplies in bfloat16, which is slow where the processor lacks it: a step
+of `kpyr-5` took 1.5 s with it where this one takes 1.1.
 """
 
 from __future__ import annotations

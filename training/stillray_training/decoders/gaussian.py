@@ -1,8 +1,7 @@
 """A filter by feature distances, differentiable: the twin of `stillray.families.gaussian`.
 
 `gaussian` is the definition as operators of a graph. Where a gradient is wanted, `_Gaussian` does
-the same with a gradient of its own: each pair of pixels is compared once, sums are made in place,
-and what it keeps is a fifth.
+the same with a gradient of its own: each pair of pixels is compared once, sums are made in place.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -20,7 +21,8 @@ from stillray.cli import program
 from stillray.errors import InputError
 from stillray.pipeline.denoiser import Denoiser
 from stillray.profiling.clip import Clip, open_clip
-from stillray_training.peers import OIDN_QUALITIES, open_image_denoise
+from stillray_training.benchmark import run_peer
+from stillray_training.peers import OIDN_QUALITIES
 
 _LEAST_ROUNDS = 3
 
@@ -60,16 +62,6 @@ def ours(denoiser: Denoiser, clip: Clip) -> Callable[[int], object]:
     return run
 
 
-def peer(quality: str, clip: Clip) -> Callable[[int], object]:
-    """Open Image Denoise on a clip's frames."""
-
-    def run(turn: int) -> object:
-        frame, _ = clip.frame(turn)
-        return open_image_denoise(frame.color, frame.albedo, frame.normal, quality)
-
-    return run
-
-
 def main(
     half: Annotated[str, typer.Argument(help="Frames that are doubled: a pattern of files.")],
     full: Annotated[str, typer.Argument(help="Frames of the picture's size: a pattern of files.")],
@@ -81,20 +73,20 @@ def main(
 ) -> None:
     """Print median milliseconds a frame, and ratios to Open Image Denoise, round by round."""
     threads = available_threads()
+    peers = [f"OIDN {quality}" for quality in OIDN_QUALITIES]
     with Denoiser(model, threads=threads) as doubling, Denoiser(flagship, threads=threads) as plain:
         scale = doubling.scale
         if height % scale or width % scale:
             raise InputError(f"height and width must be multiples of {scale}, got {height}x{width}")
         all_pixels = open_clip(full, (height, width))
-        methods = {
+        methods: dict[str, Callable[[int], object]] = {
             doubling.model.name: ours(doubling, open_clip(half, (height // scale, width // scale))),
             plain.model.name: ours(plain, all_pixels),
-            **{f"OIDN {quality}": peer(quality, all_pixels) for quality in OIDN_QUALITIES},
+            **{name: partial(run_peer, name, all_pixels) for name in peers},
         }
         times = times_in_turn(methods, seconds)
     rounds = len(times[doubling.model.name])
     table = Table(title=f"{width}x{height}, {threads} threads, {rounds} rounds in turn")
-    peers = [name for name in times if name.startswith("OIDN")]
     for title in ("method", "median ms", *(f"/ {name}" for name in peers)):
         table.add_column(title)
     for name, values in times.items():
