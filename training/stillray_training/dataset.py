@@ -30,7 +30,8 @@ from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
 from stillray.stages.state import History, Prepared
 from stillray_training.blocks import mean_frame, read_blocks
-from stillray_training.quiet import add_fireflies, quiet_frame, uneven_frame
+from stillray_training.quiet import fireflies, quiet_frame, uneven_frame
+from stillray_training.shade import moving_shade
 from stillray_training.simulate.sequence import is_complete
 from stillray_training.targets import read_target
 
@@ -40,8 +41,14 @@ NOISY, STILL, QUIET = "noisy", "still", "quiet"
 _STILLS = 3  # examples of a few samples a pixel, of each sequence that has blocks
 _UNEVEN = 2  # and of those whose noise lies in a part of the picture
 _QUIETS = 2  # and of hundreds to thousands
+_LIT = 3  # and after frames of as many samples, of a camera and things that stay
 _MOST_SAMPLES = 4096
-_FIREFLIES = 0.3  # share of quiet examples that have some
+_FIREFLIES = 0.4  # share of quiet examples that have some
+_WANDERING = 0.5  # share of those, of all with a past, whose past has them too, one pixel away a frame
+_CHANGING = 0.7  # share of pasts that stay in whose frames the light changes
+_LIT_SAMPLES = (2.0, 256.0)  # of a frame after others
+_FEW = 8.0  # below it the guides of such a frame are those of one block, as noisy as its light
+_NOISE_LEFT = 0.3  # most of a past's noise that its last output is given
 _QUIET_PAST = 0.5  # share of quiet examples that have a past
 _SAMPLES_KNOWN = 0.5  # share of patches whose frames say how many samples they have
 _AT_BORDER = 0.3  # share of patches that touch the top or bottom, and the left or right
@@ -142,6 +149,8 @@ def _all_examples(
         examples.append(replace(example, spp=samples, kind=STILL))
     for frame, samples in _quiets(blocks, reference, rng):
         examples.append(_quiet_example(frame, samples, reference, spec, strips, rng))
+    for _ in range(_LIT):
+        examples.append(_lit_example(blocks, reference, spec, strips, rng))
     return examples
 
 
@@ -158,19 +167,66 @@ def _quiet_example(
     past = rng.random() < _QUIET_PAST
     run = [frame]
     if shining:
-        frame = replace(frame, color=add_fireflies(frame.color, reference, rng))
+        light = fireflies(reference, rng)
+        frame = replace(frame, color=np.where(light > 0, light, frame.color))
         run = [frame]
         if past:
             still = np.zeros((*frame.shape, 2), np.float32)
             last = replace(frame, motion=still)
             quiet = replace(last, color=reference.astype(np.float32))
             run = [quiet] * int(rng.integers(2, 9)) + [last]
+            if rng.random() < _WANDERING:
+                run = _wandering(run, light, rng)
     example = replace(_example(run, reference, spec, strips), spp=samples, kind=QUIET)
     if shining and past:
         # the last output of frames without fireflies: the picture as it should be
         valid = np.ones((*frame.shape, 1), np.float32)
         return replace(example, previous=np.concatenate([reference, valid], -1))
     return _with_blurred_past(example, rng) if past else example
+
+
+def _wandering(run: list[Frame], light: np.ndarray, rng: np.random.Generator) -> list[Frame]:
+    """Frames before the last with its fireflies ``(h, w, 3)`` too, one pixel on from each to each."""
+    way = rng.integers(-1, 2, 2)
+    past = []
+    for age, frame in zip(range(len(run) - 1, 0, -1), run, strict=False):
+        there = np.roll(light, tuple(way * age), (0, 1))
+        past.append(replace(frame, color=np.where(there > 0, there, frame.color)))
+    return [*past, run[-1]]
+
+
+def _lit_example(
+    blocks: list[tuple[Frame, float]],
+    reference: np.ndarray,
+    spec: ModelSpec,
+    strips: Strips,
+    rng: np.random.Generator,
+) -> Example:
+    """The last of some frames of as many samples each; light may have changed from each to each.
+
+    A network that has only seen pasts that were right learns to trust those that no longer are.
+    """
+    samples = float(np.exp(rng.uniform(*np.log(_LIT_SAMPLES))))
+    order = rng.permutation(len(blocks))[: int(rng.integers(2, len(blocks) + 1))]
+    shades = [np.ones((*reference.shape[:2], 1), np.float32)] * len(order)
+    if rng.random() < _CHANGING:
+        shades = moving_shade(reference.shape[:2], len(order), rng)
+    still = np.zeros((*reference.shape[:2], 2), np.float32)
+    whole = mean_frame(blocks)
+    run = []
+    for shade, (frame, count) in zip(shades, (blocks[index] for index in order), strict=True):
+        # the noise of so many samples: each frame has its own
+        noise = np.nan_to_num(frame.color) - reference
+        color = reference + np.float32(np.sqrt(count / samples)) * noise
+        guides = frame if samples < _FEW else whole
+        color = np.maximum(color, 0) * shade
+        run.append(replace(guides, color=color, motion=still, samples=samples))
+    example = _example(run, reference * shades[-1], spec, strips)
+    left = np.float32(_NOISE_LEFT * rng.random())
+    before = reference * shades[-2] + left * (run[-2].color - reference * shades[-2])
+    valid = np.ones((*reference.shape[:2], 1), np.float32)
+    previous = np.concatenate([before, valid], -1)
+    return replace(example, spp=samples, kind=STILL, previous=previous)
 
 
 def _stills(

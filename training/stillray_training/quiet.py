@@ -86,17 +86,36 @@ def uneven_frame(
 
 
 def add_fireflies(color: np.ndarray, reference: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A picture ``(h, w, 3)`` with fireflies: single pixels and clusters, colored or white."""
-    height, width = color.shape[:2]
+    """A picture ``(h, w, 3)`` with `fireflies`."""
+    light = fireflies(reference, rng)
+    return np.where(light > 0, light, color)
+
+
+def fireflies(reference: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Single pixels and clusters, colored or white, ten to a million times as bright as a picture.
+
+    Parameters
+    ----------
+    reference : (h, w, 3)
+        The picture without any.
+    rng
+        Draws them.
+
+    Returns
+    -------
+    (h, w, 3) float32 array
+        Their radiance; 0 where there are none.
+    """
+    height, width = reference.shape[:2]
     usual = float(np.median(reference.mean(axis=-1))) or 1.0
     # clusters keep their shape where they meet the border
-    mask = np.zeros((height, width, 3), np.float32)
+    light = np.zeros((height, width, 3), np.float32)
     # cubed: from hardly any to many
     for _ in range(rng.poisson(rng.random() ** 3 * _MOST * height * width)):
         size = int(rng.choice(_SIZES[0], p=_SIZES[1]))
         tint = rng.random(3) ** 2 if rng.random() < 0.5 else np.ones(3)
-        light = usual * 10 ** rng.uniform(*_BRIGHTER) * tint
+        value = usual * 10 ** rng.uniform(*_BRIGHTER) * tint
         corner = int(rng.integers(width)), int(rng.integers(height))
         end = corner[0] + size - 1, corner[1] + size - 1
-        cv2.rectangle(mask, corner, end, light.tolist(), cv2.FILLED)
-    return np.where(mask > 0, mask, color)
+        cv2.rectangle(light, corner, end, value.tolist(), cv2.FILLED)
+    return light

@@ -1,0 +1,51 @@
+"""Light that changes where surfaces stay: shadows and bright patches that move over a picture."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+_DARKEST = 0.1  # of the light that is left inside, the least
+_BRIGHT = 0.3  # share of shades that are brighter inside, not darker
+_PARTS = (0.1, 0.7)  # of the picture that is inside
+_SPEEDS = (1.0, 12.0)  # pixels a frame
+_SOFTEST = 0.5  # width of the edge in standard deviations of the field that makes the shape
+
+
+def moving_shade(
+    shape: tuple[int, int], frames: int, rng: np.random.Generator
+) -> list[np.ndarray]:
+    """Factors of the light of some frames in a row.
+
+    Parameters
+    ----------
+    shape
+        Height and width.
+    frames
+        How many.
+    rng
+        Draws the shape, its edge from hard to soft, how much light is left inside, and its way.
+
+    Returns
+    -------
+    list of (h, w, 1) float32 arrays
+        1 outside; inside 0.1 to 1, or 1 to 10.
+    """
+    height, width = shape
+    coarse = rng.normal(size=rng.integers(2, 9, 2)).astype(np.float32)
+    field = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    level = np.quantile(field, 1 - rng.uniform(*_PARTS))
+    softness = float(field.std()) * _SOFTEST * rng.random() ** 2 + 1e-6
+    stops = np.log(_DARKEST) * rng.random()
+    if rng.random() < _BRIGHT:
+        stops = -stops
+    angle = rng.uniform(0, 2 * np.pi)
+    speed = np.exp(rng.uniform(*np.log(_SPEEDS)))
+    factors = []
+    for frame in range(frames):
+        across, down = speed * frame * np.cos(angle), speed * frame * np.sin(angle)
+        way = np.array([[1, 0, across], [0, 1, down]], np.float32)
+        moved = cv2.warpAffine(field, way, (width, height), borderMode=cv2.BORDER_REFLECT)
+        inside = np.clip((moved - level) / softness + 0.5, 0, 1)
+        factors.append(np.exp(stops * inside)[..., None].astype(np.float32))
+    return factors
