@@ -57,8 +57,10 @@ def broken(frame):
 
 
 @pytest.mark.parametrize("what", ["broken", "srgb", "layers"])
-def test_a_frame_can_be_ended_at_every_one_of_many_looks(what, in_strips):
+def test_a_frame_can_be_ended_at_every_one_of_many_looks(what, in_strips, monkeypatch):
     """No part of a frame goes as a whole: of a large one it would take long."""
+    # a network is looked at as long as it runs: on a busy machine once more or less each time
+    monkeypatch.setattr(session, "INTERVAL", 60.0)
     first, second = (broken(frame) if what == "broken" else frame for frame in swing(*SHAPE))
 
     def denoise(denoiser, frame, **options):

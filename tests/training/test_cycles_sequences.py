@@ -19,7 +19,7 @@ from stillray.io.exr.read_write import read_exr  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray_training.blender.record import RECORD, TAKEN  # noqa: E402
 from stillray_training.cycles_sequences import main, take  # noqa: E402
-from stillray_training.dataset import QUIET, STILL, find_sequences, load_examples  # noqa: E402
+from stillray_training.examples import QUIET, STILL, find_sequences, load_examples  # noqa: E402
 from stillray_training.provenance import assets_of  # noqa: E402
 from tests.conftest import clean_color, make_frame  # noqa: E402
 from tests.training.test_own_renders import write_render  # noqa: E402

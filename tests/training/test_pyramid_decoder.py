@@ -12,7 +12,12 @@ torch = pytest.importorskip("torch")
 from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.families.kernel_pyramid import filter_pyramid  # noqa: E402
 from stillray.stages.state import Filterable  # noqa: E402
-from stillray_training.decoders.pyramid import blended_with_sample, kernel_pyramid, resolve  # noqa: E402
+from stillray_training.decoders.pyramid import (  # noqa: E402
+    blended_with_sample,
+    kernel_pyramid,
+    level_parts,
+    resolve,
+)
 from tests.families.test_kernel_pyramid import OPTIONS, draw  # noqa: E402
 
 
@@ -38,7 +43,9 @@ def test_the_twin_equals_the_runtime(finest, predicted, distances, filters):
     wanted = filter_pyramid(light, logits, options, Strips(1))
     maps = [torch.from_numpy(level)[None] for level in logits]
     past, new, before = _nchw(mean), torch.from_numpy(sample)[None], _nchw(previous)
-    given = blended_with_sample(past[:, :3], past[:, 3:], new[:, :3], new[:, 3:], maps[0], options)
-    image = kernel_pyramid(*given, maps, options) * _nchw(albedo)
-    image = resolve(image, maps[0], before[:, :3], before[:, 3:], options)
+    parts = level_parts(maps, options)
+    blend, weights = parts[0].sample_blend, parts[0].resolve
+    given = blended_with_sample(past[:, :3], past[:, 3:], new[:, :3], new[:, 3:], blend)
+    image = kernel_pyramid(*given, parts, options) * _nchw(albedo)
+    image = resolve(image, weights, before[:, :3], before[:, 3:])
     np.testing.assert_allclose(image[0].permute(1, 2, 0), wanted, rtol=2e-5)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from stillray import Frame
-from stillray_training.quiet import quiet_frame, uneven_frame
+from stillray_training.quiet import fireflies, quiet_frame, uneven_frame
 
 
 def _frames(count: int):
@@ -68,3 +68,13 @@ def test_textures_of_an_uneven_frame_are_as_noisy_as_its_albedo():
     frame = Frame(color=noisy * 3, albedo=noisy)  # light of 3 without any noise
     one = uneven_frame(frame, albedo * 3, albedo, rng)
     np.testing.assert_allclose(one.color, noisy * 3, rtol=1e-5)
+
+
+def test_fireflies_are_few_bright_and_of_one_colour_each():
+    reference = np.full((96, 128, 3), 0.5, np.float32)
+    found = [fireflies(reference, np.random.default_rng(seed)) for seed in range(12)]
+    for light in found:
+        lit = light.max(-1) > 0
+        assert lit.mean() < 0.06
+        assert not lit.any() or light[lit].max() > 10 * 0.5
+    assert max(np.count_nonzero(light) for light in found) > 100

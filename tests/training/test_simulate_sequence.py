@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from stillray.errors import InputError
 from stillray.io.exr.read_write import read_channels, read_exr
-from stillray_training.dataset import find_sequences
+from stillray_training.examples import find_sequences
 from stillray_training.simulate import buffers, trace, variant
 from stillray_training.simulate.jobs import Job, run_job
 from stillray_training.simulate.sequence import SequenceOptions, is_complete, render_sequence

@@ -11,14 +11,16 @@ onnx = pytest.importorskip("onnx")
 from stillray.errors import InputError  # noqa: E402
 from stillray.models.registry import find_model  # noqa: E402
 from stillray.models.session import open_session  # noqa: E402
-from stillray_training.families import FAMILIES  # noqa: E402
+from stillray_training.families import FAMILIES, network_of  # noqa: E402
 from stillray_training.start import start_from  # noqa: E402
 
 
-@pytest.mark.parametrize("name", ["kpyr-5", "fast", "wskp-3", "wskp-6", "wskp-mr", "nbg-7x3"])
+@pytest.mark.parametrize(
+    "name", ["kpyr-5", "fast", "wskp-3", "wskp-6", "wskp-mr", "nbg-7x3", "munet-x2"]
+)
 def test_training_goes_on_from_what_a_packaged_model_computes(name):
     info = find_model(name)
-    network = FAMILIES[info.family].network(info.spec)
+    network = network_of(info.spec)
     origin = start_from(name, network, info.spec)
     assert origin["model"] == info.name
     assert origin["steps"] == info.provenance["steps"]
@@ -33,6 +35,15 @@ def test_training_goes_on_from_what_a_packaged_model_computes(name):
     for one, other in zip(found, wanted, strict=True):
         clipped = one if bound is None else one.clamp(-bound, bound)
         np.testing.assert_allclose(clipped.numpy(), other, rtol=0, atol=2e-4)
+
+
+def test_features_that_enter_in_two_places_stay_where_they_are():
+    info = find_model("munet-x2")
+    network = info.spec.network
+    other = dataclasses.replace(network, radiance=network.radiance[1:] + network.radiance[:1])
+    spec = dataclasses.replace(info.spec, network=other)
+    with pytest.raises(InputError, match="must read the features of munet-x2 in their order"):
+        start_from("munet-x2", network_of(spec), spec)
 
 
 def test_a_packaged_model_starts_a_deeper_one():

@@ -15,14 +15,13 @@ from stillray.errors import InputError  # noqa: E402
 from stillray.io.exr.read_write import read_exr, write_channels  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray.models.registry import list_models  # noqa: E402
-from stillray_training import patch_training, provenance, run, train  # noqa: E402
+from stillray_training import patch_training, patches, provenance, run, train  # noqa: E402
 from stillray_training.checkpoint import CHECKPOINT  # noqa: E402
-from stillray_training.dataset import (  # noqa: E402
+from stillray_training.examples import (  # noqa: E402
     NOISY,
     QUIET,
     STARTS,
     STILL,
-    PatchSampler,
     find_sequences,
     load_examples,
 )
@@ -33,6 +32,7 @@ from stillray_training.losses import (  # noqa: E402
     dissimilarity,
     slope_error,
 )
+from stillray_training.patches import PatchSampler  # noqa: E402
 from stillray_training.networks.repvgg import without_branches  # noqa: E402
 from stillray_training.simulate.sequence import write  # noqa: E402
 from stillray_training.start import STARTED_FROM, start_from  # noqa: E402
@@ -91,18 +91,24 @@ def test_examples_hold_one_sample_a_few_and_more(data, small):
     assert held[-1] <= 1
 
 
-def test_blocks_give_frames_of_more_samples(data, small, tmp_path):
+@pytest.fixture
+def blocks(data, tmp_path):
+    """A sequence with two more blocks, of 3 and 12 samples, whose samples are the last frame's."""
     sequence = tmp_path / "room-0000-0"
     shutil.copytree(find_sequences(data)[0], sequence)
-    # two more blocks whose samples are the reference's: their mean is known
     last = sorted(sequence.glob("frame_*.exr"))[-1]
     for index in range(2):
         shutil.copy(last, sequence / f"block_0002_{index:02d}.exr")
     record = json.loads((sequence / "sequence.json").read_text())
     record["options"]["blocks"] = [3, 12]
     (sequence / "sequence.json").write_text(json.dumps(record))
-    examples = load_examples(sequence, small, Strips(1))
-    still = [example for example in examples if example.kind == STILL]
+    return sequence
+
+
+def test_blocks_give_frames_of_more_samples(blocks, small):
+    examples = load_examples(blocks, small, Strips(1))
+    last = sorted(blocks.glob("frame_*.exr"))[-1]
+    still = [each for each in examples if each.kind == STILL and each.frames == 1]
     quiet = [example for example in examples if example.kind == QUIET]
     assert {example.spp for example in still} <= {1.0, 3.0, 4.0, 12.0, 13.0, 15.0, 16.0}
     assert all(32 <= example.spp <= 4096 for example in quiet)
@@ -116,6 +122,41 @@ def test_blocks_give_frames_of_more_samples(data, small, tmp_path):
     sampler = PatchSampler(examples, dataclasses.replace(small, training=recipe))
     planes = [sampler.batch(step).features for step in range(4)]
     assert np.concatenate(planes)[:, small.network.features.index("samples")].max() > 0.7
+
+
+def test_blocks_give_pasts_whose_light_changes_or_not(blocks, small):
+    examples = []
+    for seed in range(4):
+        spec = dataclasses.replace(small, training=dataclasses.replace(small.training, seed=seed))
+        examples += [each for each in load_examples(blocks, spec, Strips(1)) if each.frames > 1]
+    lit = [each for each in examples if each.kind == STILL]
+    assert len(lit) == 12
+    truth = clean_color(40, 48)
+    changes, held = [], []
+    for each in lit:
+        assert 2 <= each.spp <= 256
+        shade = each.reference / truth
+        np.testing.assert_allclose(shade[..., 0], shade[..., 2], rtol=1e-3)
+        # frame and reference are under the same light
+        light = each.sample[..., :3] * each.demodulation_albedo
+        assert 0.8 < light.mean() / each.reference.mean() < 1.2
+        assert (each.previous[..., 3] == 1).all()
+        off = np.abs(np.log((each.previous[..., :3] + 1e-3) / (each.reference + 1e-3)))
+        changes.append(np.median(off.max()))
+        held.append(each.mean[..., 3].max() / each.sample[..., 3].max())
+    assert np.ptp(changes) > 0.3
+    assert max(held) > 2.5  # of a past that holds
+
+
+def test_patches_have_more_edges_where_two_are_compared(data, small, monkeypatch):
+    examples = load_examples(find_sequences(data)[0], small, Strips(1))
+
+    def slopes(share):
+        monkeypatch.setattr(patches, "_BUSIER", share)
+        batches = [PatchSampler(examples, small).batch(step) for step in range(40)]
+        return np.mean([np.abs(np.diff(np.log(b.reference + 0.05))).mean() for b in batches])
+
+    assert slopes(1.0) > slopes(0.0)
 
 
 def test_a_target_takes_the_place_of_the_reference(data, small, tmp_path):

@@ -20,7 +20,12 @@ from stillray_training.decoders.bilateral_grids import bilateral_grids
 from stillray_training.decoders.boxes import BoxMean
 from stillray_training.decoders.fused_kernels import fused_kernels
 from stillray_training.decoders.multires import multi_resolution_kernels
-from stillray_training.decoders.pyramid import blended_with_sample, kernel_pyramid, resolve, unfold
+from stillray_training.decoders.pyramid import (
+    blended_with_sample,
+    kernel_pyramid,
+    level_parts,
+    resolve,
+)
 from stillray_training.networks.guide import GuideNet
 from stillray_training.networks.importance import ImportanceNet
 from stillray_training.networks.multi_branch import multi_branch_net
@@ -38,7 +43,7 @@ class Family:
     network
         Makes the network of a specification.
     decode
-        From what the network gave, the tensors of a `stillray_training.dataset.Batch` by name, the
+        From what the network gave, the tensors of a `stillray_training.patches.Batch` by name, the
         specification and a box filter, to ``(n, 3, h, w)``.
     inputs
         The tensors that `decode` takes.
@@ -74,14 +79,13 @@ def _pyramid(
     logits: tuple[Tensor, ...], batch: Mapping[str, Tensor], spec: ModelSpec, box: BoxFilter
 ) -> Tensor:
     assert isinstance(spec.decoder, PyramidKernels)
-    logits = unfold(logits)
+    maps = level_parts(logits, spec.decoder)
+    finest = maps[0]
     light, samples = blended_with_sample(
-        batch["irradiance"], batch["samples"], batch["new"], batch["worth"], logits[0], spec.decoder
+        batch["irradiance"], batch["samples"], batch["new"], batch["worth"], finest.sample_blend
     )
-    image = kernel_pyramid(light, samples, logits, spec.decoder, box)
-    return resolve(
-        image * batch["divisor"], logits[0], batch["previous"], batch["valid"], spec.decoder
-    )
+    image = kernel_pyramid(light, samples, maps, spec.decoder, box)
+    return resolve(image * batch["divisor"], finest.resolve, batch["previous"], batch["valid"])
 
 
 def _multires(

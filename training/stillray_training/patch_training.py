@@ -18,14 +18,7 @@ from torch.utils._pytree import tree_map
 from stillray.arrays.strips import Strips
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec
-from stillray_training.dataset import (
-    NOISY,
-    Batch,
-    Example,
-    PatchSampler,
-    load_examples,
-    previous_outputs,
-)
+from stillray_training.examples import NOISY, Example, load_examples, previous_outputs
 from stillray_training.families import FAMILIES, Family
 from stillray_training.losses import (
     blur_error,
@@ -39,6 +32,7 @@ from stillray_training.losses import (
 )
 from stillray_training.networks.fuse import fuse
 from stillray_training.onnx_graph import network_graph
+from stillray_training.patches import Batch, PatchSampler
 from stillray_training.run import Run, progress_bar, sequences_in
 
 #: Whether the processor multiplies bfloat16 itself; where it does not, a step takes far longer.

@@ -41,7 +41,8 @@ def quiet_frame(frame: Frame, reference: np.ndarray, rng: np.random.Generator) -
     """
     noise = np.float32(rng.choice(_NOISE))
     color = reference + noise * (np.nan_to_num(frame.color) - reference)
-    color = add_fireflies(color, reference, rng)
+    light = fireflies(reference, rng)
+    color = np.where(light > 0, light, color)
     return replace(frame, color=color.astype(np.float32), motion=None)
 
 
@@ -83,12 +84,6 @@ def uneven_frame(
         clean = reference * ratio
     color = clean + kept * (np.nan_to_num(frame.color) - clean)
     return replace(frame, color=color.astype(np.float32))
-
-
-def add_fireflies(color: np.ndarray, reference: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A picture ``(h, w, 3)`` with `fireflies`."""
-    light = fireflies(reference, rng)
-    return np.where(light > 0, light, color)
 
 
 def fireflies(reference: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from stillray.errors import InputError
 from stillray.model_spec import ModelSpec
 from stillray_training.checkpoint import CHECKPOINT, restore, save
-from stillray_training.dataset import find_sequences
+from stillray_training.examples import find_sequences
 from stillray_training.loss_log import LOG, LOG_EVERY, forget_after, log_loss
 from stillray_training.provenance import ASSETS, assets_of
 from stillray_training.schedule import follow, learning_rate, optimiser_of

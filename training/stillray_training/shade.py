@@ -12,9 +12,7 @@ _SPEEDS = (1.0, 12.0)  # pixels a frame
 _SOFTEST = 0.5  # width of the edge in standard deviations of the field that makes the shape
 
 
-def moving_shade(
-    shape: tuple[int, int], frames: int, rng: np.random.Generator
-) -> list[np.ndarray]:
+def moving_shade(shape: tuple[int, int], frames: int, rng: np.random.Generator) -> list[np.ndarray]:
     """Factors of the light of some frames in a row.
 
     Parameters

@@ -17,9 +17,9 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stillray.errors import InputError
-from stillray.model_spec import ModelSpec
+from stillray.model_spec import ModelSpec, from_json
 from stillray.models.registry import find_model
-from stillray_training.families import FAMILIES
+from stillray_training.families import network_of
 from stillray_training.networks.repvgg import RepVGGBlock
 
 STARTED_FROM = "started_from.json"  # beside a checkpoint: the model whose weights were taken over
@@ -74,8 +74,8 @@ def read_start(source: str | Path) -> Start:
 def _of_checkpoint(path: Path) -> Start:
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
-    before = json.loads(metadata["spec"])
-    origin = {"model": before["name"], "steps": int(metadata["step"])}
+    before = from_json(metadata["spec"])
+    origin = {"model": before.name, "steps": int(metadata["step"])}
     earlier = path.parent / STARTED_FROM
     if earlier.is_file():
         origin["started_from"] = json.loads(earlier.read_text())
@@ -87,12 +87,12 @@ def _of_checkpoint(path: Path) -> Start:
         for name, value in tensors.items()
         if name.startswith(prefix)
     }
-    return Start(tuple(before["network"]["features"]), weights, origin)
+    return Start(before.network.features, weights, origin)
 
 
 def _of_model(source: str | Path) -> Start:
     info = find_model(source)
-    network = FAMILIES[info.family].network(info.spec)
+    network = network_of(info.spec)
     unfuse(
         network,
         {
@@ -174,16 +174,16 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
     start = read_start(source)
     features = start.features
     state = network.state_dict()
-    entry = network.get_submodule(str(network.reads_features).rstrip("."))
-    if isinstance(entry, RepVGGBlock) and entry.identity and features != spec.network.features:
+    reads_features = str(getattr(network, "reads_features", ""))
+    if features != spec.network.features and not _matches_features(network, reads_features):
         raise InputError(
-            f"start must read the features of {spec.name} in their order, whose first block has an "
-            f"identity, got {', '.join(features)}"
+            f"start must read the features of {spec.name} in their order, whose network takes them "
+            f"by their places, got {', '.join(features)}"
         )
     for name, given in start.weights.items():
         value, target = given, state.get(name, torch.empty(0))
         fits = len(value) <= len(target)
-        if fits and name.startswith(str(network.reads_features)) and value.ndim == 4:
+        if fits and reads_features and name.startswith(reads_features) and value.ndim == 4:
             # where blocks of pixels are read as one, every feature is several planes
             each = target.shape[1] // len(spec.network.features)
             fits = value.shape[1] == each * len(features) and value.shape[2:] == target.shape[2:]
@@ -208,3 +208,11 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
                     state[part].zero_()
     network.load_state_dict(state)
     return start.origin
+
+
+def _matches_features(network: nn.Module, reads_features: str) -> bool:
+    """Whether features enter by one layer without an identity, which may take them in any order."""
+    if not reads_features:
+        return False
+    entry = network.get_submodule(reads_features.rstrip("."))
+    return not (isinstance(entry, RepVGGBlock) and entry.identity)

@@ -48,12 +48,8 @@ def main(
         spec = dataclasses.replace(spec, training=dataclasses.replace(spec.training, steps=steps))
     if plain:
         spec = without_branches(spec)
-    if spec.family in RECURRENT:
-        if start:
-            raise InputError(f"start must not be given with {spec.name}, got {start}")
-        train_recurrent(spec, data, out)
-    else:
-        train(spec, data, out, start=start or None)
+    learn = train_recurrent if spec.family in RECURRENT else train
+    learn(spec, data, out, start=start or None)
 
 
 if __name__ == "__main__":

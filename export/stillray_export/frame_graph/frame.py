@@ -33,7 +33,12 @@ from stillray_export.frame_graph.rejection import Noise, compare, confidence
 from stillray_export.frame_graph.repair import repair_feature, repair_motion, repair_radiance
 from stillray_export.frame_graph.reprojection import guide_planes, reproject
 from stillray_training.decoders.boxes import pooled_box_mean
-from stillray_training.decoders.pyramid import blended_with_sample, kernel_pyramid, resolve, unfold
+from stillray_training.decoders.pyramid import (
+    blended_with_sample,
+    kernel_pyramid,
+    level_parts,
+    resolve,
+)
 
 #: Numbers that a state holds: exposure, exposure of its noise, frames of its noise, samples a
 #: pixel, frames of its albedo.
@@ -287,17 +292,17 @@ class FrameGraph(nn.Module):
         planes = torch.cat([features, frame.irradiance, frame.held, sample], 1)
         edge = (0, -width % self.multiple, 0, -height % self.multiple)
         planes = F.pad(planes, edge, mode="replicate")
-        logits = unfold(self.network(planes[:, :count]))
+        maps = level_parts(self.network(planes[:, :count]), self.options)
         light, held, new, worth = (
             planes[:, count + start : count + stop]
             for start, stop in ((0, 3), (3, 4), (4, 7), (7, 8))
         )
-        light, held = blended_with_sample(light, held, new, worth, logits[0], self.options)
-        image = kernel_pyramid(light, held, logits, self.options, pooled_box_mean)
+        light, held = blended_with_sample(light, held, new, worth, maps[0].sample_blend)
+        image = kernel_pyramid(light, held, maps, self.options, pooled_box_mean)
         # what was added to whole cells goes before pixels are mixed with their neighbours
         image = image[..., :height, :width] * frame.divisor
-        finest = logits[0][..., :height, :width]
-        return resolve(image, finest, frame.previous, frame.valid, self.options)
+        weights = maps[0].resolve[..., :height, :width]
+        return resolve(image, weights, frame.previous, frame.valid)
 
 
 def repaired(

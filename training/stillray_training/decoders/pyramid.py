@@ -9,16 +9,58 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from stillray.families.pyramid_logits import NEIGHBOURS, LevelLayout, level_layout
+from stillray.families.pyramid_logits import NEIGHBOURS, level_layout
 from stillray.model_spec.loader import PyramidKernels
 from stillray_training.decoders.boxes import BoxMean
 from stillray_training.decoders.gaussian import gaussian
 
 
+class LevelParts(NamedTuple):
+    """Bounded logits of one level, ``(n, planes, h, w)`` each, by what they are for.
+
+    See `stillray.families.pyramid_logits.LevelLayout`.
+    """
+
+    importance: Tensor
+    pool: Tensor
+    blend: Tensor
+    resolve: Tensor
+    sample_blend: Tensor
+    double: Tensor
+    around: Tensor
+    features: Tensor
+    filters: Tensor
+
+
+def level_parts(logits: Sequence[Tensor], options: PyramidKernels) -> list[LevelParts]:
+    """What a network gave, taken apart and bounded once for all that read it.
+
+    Parameters
+    ----------
+    logits
+        One map a level, finest first, see `stillray.families.pyramid_logits.level_layout`; the
+        finest may come as planes of half its size, see `depth_to_space.DepthToSpace`.
+    options
+        The bound.
+    """
+    finest, *coarser = logits
+    if finest.shape[2:] == coarser[0].shape[2:]:
+        finest = F.pixel_shuffle(finest, 2)
+    bound = options.logit_bound
+    levels = []
+    for level, planes in enumerate((finest, *coarser)):
+        layout = level_layout(level, len(logits), options)
+        # one split, not slices: the gradient of a slice is a whole map of zeros
+        parts = (getattr(layout, name) for name in LevelParts._fields)
+        sizes = [part.stop - part.start for part in parts]
+        levels.append(LevelParts(*planes.contiguous().clamp(-bound, bound).split(sizes, 1)))
+    return levels
+
+
 def kernel_pyramid(
     irradiance_nchw: Tensor,
     samples_nchw: Tensor,
-    logits: Sequence[Tensor],
+    maps: Sequence[LevelParts],
     options: PyramidKernels,
     box: Callable[[Tensor, int], Tensor] = BoxMean.apply,
 ) -> Tensor:
@@ -30,10 +72,10 @@ def kernel_pyramid(
         Sizes that are multiples of 2^(levels - 1).
     samples_nchw : (n, 1, h, w)
         Samples that each pixel holds, > 0.
-    logits
-        One map a level, finest first, see `stillray.families.pyramid_logits.level_layout`.
+    maps
+        Of `level_parts`.
     options
-        Kernel sizes and the bound of the logits.
+        Kernel sizes.
     box
         How window means are taken.
 
@@ -41,9 +83,8 @@ def kernel_pyramid(
     -------
     (n, 3, h, w)
     """
-    levels = len(logits)
+    levels = len(maps)
     layouts = [level_layout(level, levels, options) for level in range(levels)]
-    maps = [_parts(level, layout, options) for level, layout in zip(logits, layouts, strict=True)]
     light, held = [irradiance_nchw], [samples_nchw]
     for parts in maps[:-1]:
         importance = parts.pool.exp()
@@ -124,43 +165,12 @@ def _corners(*corners_nchw: Tensor) -> Tensor:
     return F.pixel_shuffle(torch.stack(corners_nchw, 2).flatten(1, 2), 2)
 
 
-def unfold(logits: Sequence[Tensor]) -> tuple[Tensor, ...]:
-    """Logits with those of the finest level as one map, see `depth_to_space.DepthToSpace`."""
-    finest, *coarser = logits
-    if finest.shape[2:] == coarser[0].shape[2:]:
-        finest = F.pixel_shuffle(finest, 2)
-    return finest, *coarser
-
-
-class _Parts(NamedTuple):
-    """Bounded logits of one level, by what they are for; see `LevelLayout`."""
-
-    importance: Tensor
-    pool: Tensor
-    blend: Tensor
-    resolve: Tensor
-    sample_blend: Tensor
-    double: Tensor
-    around: Tensor
-    features: Tensor
-    filters: Tensor
-
-
-def _parts(logits_nchw: Tensor, layout: LevelLayout, options: PyramidKernels) -> _Parts:
-    # one split, not five slices: the gradient of a slice is a whole map of zeros
-    parts = (getattr(layout, name) for name in _Parts._fields)
-    sizes = [part.stop - part.start for part in parts]
-    bound = options.logit_bound
-    return _Parts(*logits_nchw.contiguous().clamp(-bound, bound).split(sizes, 1))
-
-
 def blended_with_sample(
     irradiance_nchw: Tensor,
     samples_nchw: Tensor,
     new_nchw: Tensor,
     weight_nchw: Tensor,
     logits_nchw: Tensor,
-    options: PyramidKernels,
 ) -> tuple[Tensor, Tensor]:
     """What was accumulated, with more of the new sample where the past does not hold.
 
@@ -174,17 +184,15 @@ def blended_with_sample(
         Irradiance of this frame.
     weight_nchw : (n, 1, h, w)
         What its samples weigh, > 0.
-    logits_nchw : (n, planes, h, w)
-        Of the finest level; that of `LevelLayout.sample_blend` is used.
-    options
-        The bound of the logits.
+    logits_nchw : (n, 1, h, w)
+        `LevelParts.sample_blend` of the finest level.
 
     Returns
     -------
     (n, 3, h, w), (n, 1, h, w)
         Irradiance, and the samples that it holds.
     """
-    more = _parts(logits_nchw, level_layout(0, 2, options), options).sample_blend.exp()
+    more = logits_nchw.exp()
     total = samples_nchw + more * weight_nchw
     light = (samples_nchw * irradiance_nchw + more * weight_nchw * new_nchw) / total
     return light, total / (1 + more)
@@ -195,7 +203,6 @@ def resolve(
     logits_nchw: Tensor,
     previous_nchw: Tensor,
     valid_nchw: Tensor,
-    options: PyramidKernels,
 ) -> Tensor:
     """Average each pixel with its neighbours and with the previous output.
 
@@ -203,20 +210,18 @@ def resolve(
     ----------
     radiance_nchw : (n, 3, h, w)
         Filtered and re-modulated.
-    logits_nchw : (n, planes, h, w)
-        Of the finest level; those of `LevelLayout.resolve` are used.
+    logits_nchw : (n, 9, h, w)
+        `LevelParts.resolve` of the finest level.
     previous_nchw : (n, 3, h, w)
         Radiance of the previous output at these pixels.
     valid_nchw : (n, 1, h, w)
         How much of it lay in the frame, [0, 1].
-    options
-        The bound of the logits.
 
     Returns
     -------
     (n, 3, h, w)
     """
-    weights = _parts(logits_nchw, level_layout(0, 2, options), options).resolve.exp()
+    weights = logits_nchw.exp()
     *near, past = weights.split(1, 1)
     past = past * valid_nchw
     total = radiance_nchw + past * previous_nchw

@@ -25,7 +25,7 @@ from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr
 from stillray.pipeline.denoiser import Denoiser
-from stillray_training.dataset import find_sequences
+from stillray_training.examples import find_sequences
 from stillray_training.peers.oidn import open_image_denoise
 from stillray_training.simulate.sequence import RECORD
 

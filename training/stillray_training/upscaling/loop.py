@@ -99,7 +99,12 @@ def temporal_loss(
 
 
 def train_recurrent(
-    spec: ModelSpec, data: list[Path], out: Path, *, save_every: int = 200
+    spec: ModelSpec,
+    data: list[Path],
+    out: Path,
+    *,
+    start: str | Path | None = None,
+    save_every: int = 200,
 ) -> nn.Module:
     """Train until the recipe's last step; resumes from ``out`` if it holds a checkpoint.
 
@@ -111,6 +116,8 @@ def train_recurrent(
         Folders of rendered sequences with a reference of every frame.
     out
         Folder for the checkpoint and the log; made if missing.
+    start
+        The same model to go on from, see `stillray_training.start`; None for random weights.
     save_every
         Steps between checkpoints.
 
@@ -125,6 +132,8 @@ def train_recurrent(
     torch.manual_seed(recipe.seed)
     network = multi_branch_net(spec)
     run = Run(spec, network, sequences, out)
+    if start is not None:
+        run.start_from(start)
     with progress_bar() as progress:
         clips = [
             load_clip(sequence, spec, Strips(1))

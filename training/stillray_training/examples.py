@@ -1,10 +1,10 @@
-"""Training patches from rendered sequences.
+"""Examples to learn from: last frames of rendered sequences as a network will meet them.
 
 A sequence goes through the runtime's own repair, demodulation, reprojection and accumulation, so
 that a network learns from exactly what it will see. Its last frame is accumulated from several
 starting frames: pixels then hold one sample, a few, or many. Where the frame comes in independent
-blocks of samples, it is also seen alone with 2 to 32 samples a pixel, and with hundreds to
-thousands, whose noise is that of 32 made smaller.
+blocks of samples, it is also seen alone with 2 to 32 samples a pixel, after frames of as many whose
+light may have been another, and with hundreds to thousands, whose noise is that of 32 made smaller.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr
 from stillray.model_spec import ModelSpec
 from stillray.pipeline.denoiser import Denoiser
-from stillray.stages import features as encode
 from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
 from stillray.stages.state import History, Prepared
@@ -44,15 +43,15 @@ _QUIETS = 2  # and of hundreds to thousands
 _LIT = 3  # and after frames of as many samples, of a camera and things that stay
 _MOST_SAMPLES = 4096
 _FIREFLIES = 0.4  # share of quiet examples that have some
-_WANDERING = 0.5  # share of those, of all with a past, whose past has them too, one pixel away a frame
+_WANDERING = (
+    0.5  # share of those, of all with a past, whose past has them too, one pixel away a frame
+)
 _CHANGING = 0.7  # share of pasts that stay in whose frames the light changes
 _LIT_SAMPLES = (2.0, 256.0)  # of a frame after others
+_PAST = 4  # most frames before it
 _FEW = 8.0  # below it the guides of such a frame are those of one block, as noisy as its light
 _NOISE_LEFT = 0.3  # most of a past's noise that its last output is given
 _QUIET_PAST = 0.5  # share of quiet examples that have a past
-_SAMPLES_KNOWN = 0.5  # share of patches whose frames say how many samples they have
-_AT_BORDER = 0.3  # share of patches that touch the top or bottom, and the left or right
-_FLAT = 0.05  # relative contrast of a reference patch below which there is little to learn
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,23 +73,6 @@ class Example:
     kind: str = NOISY  # or STILL or QUIET
     sequence: str = ""  # name of its folder
     frames: int = 1  # accumulated
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Batch:
-    """Patches as the network and the decoder take them, ``(n, c, h, w)`` float32."""
-
-    features: np.ndarray
-    irradiance: np.ndarray
-    samples: np.ndarray
-    new: np.ndarray
-    # as the whole models that are exported call their inputs
-    worth: np.ndarray  # what samples weigh
-    divisor: np.ndarray  # the albedo that the result is multiplied by
-    previous: np.ndarray
-    valid: np.ndarray
-    reference: np.ndarray
-    exposure: np.ndarray  # (n, 1, 1, 1)
 
 
 def find_sequences(folder: Path) -> list[Path]:
@@ -206,8 +188,13 @@ def _lit_example(
 
     A network that has only seen pasts that were right learns to trust those that no longer are.
     """
+    counts = np.array([count for _, count in blocks])
     samples = float(np.exp(rng.uniform(*np.log(_LIT_SAMPLES))))
-    order = rng.permutation(len(blocks))[: int(rng.integers(2, len(blocks) + 1))]
+    samples = max(samples, float(np.sort(counts)[1]))
+    # of as many samples or fewer, whose noise is made smaller: of more, there would be less than none
+    fitting = np.flatnonzero(counts <= samples)
+    largest = fitting[np.argsort(-counts[fitting], kind="stable")][: rng.integers(2, _PAST + 2)]
+    order = rng.permutation(largest)
     shades = [np.ones((*reference.shape[:2], 1), np.float32)] * len(order)
     if rng.random() < _CHANGING:
         shades = moving_shade(reference.shape[:2], len(order), rng)
@@ -219,14 +206,13 @@ def _lit_example(
         noise = np.nan_to_num(frame.color) - reference
         color = reference + np.float32(np.sqrt(count / samples)) * noise
         guides = frame if samples < _FEW else whole
-        color = np.maximum(color, 0) * shade
-        run.append(replace(guides, color=color, motion=still, samples=samples))
+        run.append(replace(guides, color=color * shade, motion=still, samples=samples))
     example = _example(run, reference * shades[-1], spec, strips)
     left = np.float32(_NOISE_LEFT * rng.random())
     before = reference * shades[-2] + left * (run[-2].color - reference * shades[-2])
     valid = np.ones((*reference.shape[:2], 1), np.float32)
     previous = np.concatenate([before, valid], -1)
-    return replace(example, spp=samples, kind=STILL, previous=previous)
+    return replace(example, spp=samples, kind=STILL, frames=len(run), previous=previous)
 
 
 def _stills(
@@ -333,161 +319,3 @@ def previous_outputs(sequence: Path, model: Path, strips: Strips) -> dict[int, n
             if previous is not None:
                 remembered[count] = previous
     return remembered
-
-
-class PatchSampler:
-    """Draws augmented patches; the n-th batch depends on the seed and n only.
-
-    Parameters
-    ----------
-    examples
-        What to draw from; may be replaced one by one between batches.
-    spec
-        The model's specification.
-
-    Raises
-    ------
-    InputError
-        An example is smaller than a patch.
-    """
-
-    def __init__(self, examples: list[Example], spec: ModelSpec) -> None:
-        size = spec.training.patch
-        for one in examples:
-            if min(one.reference.shape[:2]) < size:
-                raise InputError(
-                    f"{one.sequence}: must have {size} x {size} pixels or more, the size of a "
-                    f"patch, got {one.reference.shape[:2]}"
-                )
-        # places, not examples: those are replaced when previous outputs are renewed
-        self._examples = examples
-        self._places: dict[str, list[int]] = {}
-        for place, one in enumerate(examples):
-            self._places.setdefault(one.kind, []).append(place)
-        self._spec = spec
-
-    def batch(self, step: int) -> Batch:
-        """The batch of one training step."""
-        recipe = self._spec.training
-        rng = np.random.default_rng([recipe.seed, step])
-        patches = [self._patch(rng) for _ in range(recipe.batch)]
-        return Batch(**{name: np.stack([patch[name] for patch in patches]) for name in patches[0]})
-
-    def _patch(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
-        size = self._spec.training.patch
-        recipe = self._spec.training
-        drawn = rng.random()
-        kind = QUIET if drawn < recipe.quiet_share else NOISY
-        if recipe.quiet_share <= drawn < recipe.quiet_share + recipe.still_share:
-            kind = STILL
-        places = self._places.get(kind) or self._places[NOISY]
-        for _ in range(8):  # look for a patch in which there is something to learn
-            example = self._examples[places[rng.integers(len(places))]]
-            height, width = example.reference.shape[:2]
-            top, left = (_offset(rng, length - size) for length in (height, width))
-            window = (slice(top, top + size), slice(left, left + size))
-            light = example.reference[window].mean(axis=-1)
-            if light.std() > _FLAT * light.mean() and light.mean() > 0:
-                break
-        return self._augment(example, window, rng)
-
-    def _augment(
-        self, example: Example, window: tuple[slice, slice], rng: np.random.Generator
-    ) -> dict[str, np.ndarray]:
-        spec, recipe = self._spec, self._spec.training
-        turn = _random_turn(rng)
-        order = rng.permutation(3)
-        gain = np.exp(rng.normal(size=3) * 0.15).astype(np.float32)
-        mean = turn(example.mean[window]).copy()
-        mean[..., :3] = mean[..., order] * gain
-        sample = turn(example.sample[window]).copy()
-        sample[..., :3] = sample[..., order] * gain
-        reference = turn(example.reference[window])[..., order] * gain
-        remodulation = turn(example.remodulation_albedo[window])[..., order].astype(np.float32)
-        previous = turn(example.previous[window]).copy()
-        previous[..., :3] = previous[..., order] * gain
-        albedo: np.ndarray | None = turn(example.albedo[window])[..., order].astype(np.float32)
-        normal: np.ndarray | None = turn(example.normal[window]).astype(np.float32)
-        normal = normal @ _random_rotation(rng)
-        depth: np.ndarray | None = turn(example.depth[window])
-        if rng.random() < recipe.drop_feature:
-            # no albedo: what is filtered is radiance
-            demodulation = turn(example.demodulation_albedo[window])[..., order].astype(np.float32)
-            mean[..., :3] *= demodulation
-            sample[..., :3] *= demodulation
-            remodulation, albedo = np.ones_like(demodulation), None
-        if rng.random() < recipe.drop_feature:
-            normal = None
-        if rng.random() < recipe.drop_feature:
-            depth = None
-        # whoever does not say how many samples a frame has is taken to have one
-        spp = example.spp if rng.random() < _SAMPLES_KNOWN else 1.0
-        stops = rng.uniform(-recipe.exposure_stops, recipe.exposure_stops)
-        exposure = float(example.exposure * 2**stops)
-        light = encode.tone_map(encode.luminance(mean), exposure)
-        features = np.zeros((len(spec.network.features), *light.shape), np.float32)
-        given = encode.FeatureInputs(
-            mean=mean,
-            local=encode.local_luminance(light, spec.transfer),
-            exposure=exposure,
-            sample=encode.luminance(sample),
-            albedo=albedo,
-            normal=normal,
-            depth=depth,
-            depth_unit=example.depth_unit,
-            frame_samples=spp,
-        )
-        encode.feature_planes(given, spec.temporal, spec.network.features, out=features)
-        encode.previous_planes(
-            previous, remodulation, exposure, spec.network.features, out=features
-        )
-        return {
-            "features": features,
-            "irradiance": _chw(mean[..., :3]),
-            "samples": mean[None, ..., 3],
-            "new": _chw(sample[..., :3]),
-            "worth": sample[None, ..., 3],
-            "divisor": _chw(remodulation),
-            "previous": _chw(previous[..., :3]),
-            "valid": previous[None, ..., 3],
-            "reference": _chw(reference),
-            "exposure": np.full((1, 1, 1), exposure, np.float32),
-        }
-
-
-def _offset(rng: np.random.Generator, room: int) -> int:
-    """Where a patch begins: anywhere, and often enough at the border of the frame.
-
-    Where the camera moves, new pixels of one sample appear beside what was accumulated, there and
-    nowhere else; drawn evenly, a patch almost never held a border.
-    """
-    room = max(room, 0)
-    border = rng.random()
-    if border < _AT_BORDER:
-        return 0 if border < _AT_BORDER / 2 else room
-    return int(rng.integers(0, room + 1))
-
-
-def _chw(image: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(image.transpose(2, 0, 1), dtype=np.float32)
-
-
-class _random_turn:  # noqa: N801  a function with its choice drawn beforehand
-    """One of the eight symmetries of the square, the same for all of a patch's buffers."""
-
-    def __init__(self, rng: np.random.Generator) -> None:
-        self._quarters = int(rng.integers(4))
-        self._mirror = bool(rng.integers(2))
-
-    def __call__(self, image: np.ndarray) -> np.ndarray:
-        turned = np.rot90(image, self._quarters)
-        return np.ascontiguousarray(turned[:, ::-1] if self._mirror else turned)
-
-
-def _random_rotation(rng: np.random.Generator) -> np.ndarray:
-    """A uniformly random rotation: normals come in any renderer's space."""
-    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
-    q *= np.sign(np.diag(r))
-    if np.linalg.det(q) < 0:
-        q[:, 0] = -q[:, 0]
-    return q.astype(np.float32)

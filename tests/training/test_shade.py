@@ -1,0 +1,35 @@
+"""Light that changes where surfaces stay."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillray_training.shade import moving_shade
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_shade_moves_and_leaves_a_part_of_the_light_and_of_the_picture(seed):
+    shades = moving_shade((71, 93), 4, np.random.default_rng(seed))
+    assert len(shades) == 4
+    for shade in shades:
+        assert shade.shape == (71, 93, 1)
+        assert shade.dtype == np.float32
+        assert 0.099 < shade.min() <= shade.max() < 10.1
+        untouched = np.isclose(shade, 1, atol=1e-6).mean()
+        assert 0.05 < untouched < 0.98
+        # darker inside or brighter, not both
+        assert shade.max() < 1 + 1e-6 or shade.min() > 1 - 1e-6
+    moved = [np.abs(np.log(a / b)).max() for a, b in zip(shades, shades[1:], strict=False)]
+    assert min(moved) > 0
+
+
+def test_shades_differ_in_strength_and_edge():
+    drawn = [moving_shade((64, 64), 1, np.random.default_rng(seed))[0] for seed in range(60)]
+    stops = np.array([np.log(shade).ravel()[np.abs(np.log(shade)).argmax()] for shade in drawn])
+    assert stops.min() < -1.5
+    assert stops.max() > 1
+    assert np.abs(stops).min() < 0.3
+    between = [np.mean((s != s.min()) & (s != s.max())) for s in drawn]
+    assert min(between) < 0.02
+    assert max(between) > 0.2
