@@ -13,10 +13,10 @@ from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
 from stillray.io.exr.read_write import read_exr, write_channels  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
-from stillray_training.examples import find_sequences, load_examples  # noqa: E402
-from stillray_training.patches import PatchSampler  # noqa: E402
 from stillray_training.evaluate.cases import find_cases  # noqa: E402
+from stillray_training.examples import find_sequences, load_examples  # noqa: E402
 from stillray_training.own_renders import Source, gather_renders  # noqa: E402
+from stillray_training.patches import PatchSampler  # noqa: E402
 from tests.conftest import clean_color, make_frame  # noqa: E402
 
 HEIGHT, WIDTH = 97, 130

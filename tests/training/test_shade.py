@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -20,7 +22,7 @@ def test_a_shade_moves_and_leaves_a_part_of_the_light_and_of_the_picture(seed):
         assert 0.05 < untouched < 0.98
         # darker inside or brighter, not both
         assert shade.max() < 1 + 1e-6 or shade.min() > 1 - 1e-6
-    moved = [np.abs(np.log(a / b)).max() for a, b in zip(shades, shades[1:], strict=False)]
+    moved = [np.abs(np.log(a / b)).max() for a, b in pairwise(shades)]
     assert min(moved) > 0
 
 

@@ -32,8 +32,8 @@ from stillray_training.losses import (  # noqa: E402
     dissimilarity,
     slope_error,
 )
-from stillray_training.patches import PatchSampler  # noqa: E402
 from stillray_training.networks.repvgg import without_branches  # noqa: E402
+from stillray_training.patches import PatchSampler  # noqa: E402
 from stillray_training.simulate.sequence import write  # noqa: E402
 from stillray_training.start import STARTED_FROM, start_from  # noqa: E402
 from stillray_training.targets import make_target, read_target  # noqa: E402

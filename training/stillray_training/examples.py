@@ -168,7 +168,7 @@ def _quiet_example(
 
 
 def _wandering(run: list[Frame], light: np.ndarray, rng: np.random.Generator) -> list[Frame]:
-    """Frames before the last with its fireflies ``(h, w, 3)`` too, one pixel on from each to each."""
+    """A run whose last frame's fireflies ``(h, w, 3)`` came one pixel on with every frame."""
     way = rng.integers(-1, 2, 2)
     past = []
     for age, frame in zip(range(len(run) - 1, 0, -1), run, strict=False):
@@ -191,7 +191,7 @@ def _lit_example(
     counts = np.array([count for _, count in blocks])
     samples = float(np.exp(rng.uniform(*np.log(_LIT_SAMPLES))))
     samples = max(samples, float(np.sort(counts)[1]))
-    # of as many samples or fewer, whose noise is made smaller: of more, there would be less than none
+    # of as many samples or fewer, whose noise is made smaller; made larger it would fall below 0
     fitting = np.flatnonzero(counts <= samples)
     largest = fitting[np.argsort(-counts[fitting], kind="stable")][: rng.integers(2, _PAST + 2)]
     order = rng.permutation(largest)
