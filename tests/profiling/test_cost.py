@@ -57,13 +57,20 @@ def test_a_model_s_work_is_that_of_its_padded_size():
     assert got.operations == network_cost(info.path, 48, 32).operations
 
 
+def test_a_model_that_doubles_works_at_the_picture_s_size():
+    info = find_model("munet-x2")
+    frame = swing(17, 20)[0]  # 34 x 40 pixels of the picture, in cells of 8
+    got = stage_costs(info, frame)["network"]
+    assert got.operations == network_cost(info.path, 40, 40).operations
+
+
 def test_the_floor_is_the_dearer_of_operations_and_bytes():
     peaks = PeakRates(operations=2e9, bandwidth=1e9)
     assert Cost(operations=4e6, bytes=1e6).roofline(peaks) == pytest.approx(2)
     assert Cost(operations=4e6, bytes=3e6).roofline(peaks) == pytest.approx(3)
 
 
-@pytest.mark.parametrize("model", ["kpyr-5", "wskp-mr"])
+@pytest.mark.parametrize("model", ["kpyr-5", "wskp-mr", "munet-x2"])
 def test_every_stage_that_runs_has_work_and_less_buffers_are_less_of_it(model):
     info = find_model(model)
     full = swing(16, 24)[0]

@@ -7,7 +7,7 @@ window's sum is two additions an axis however large the window is.
 from __future__ import annotations
 
 from stillray.families.pyramid_logits import level_layout, level_logits
-from stillray.model_spec.loader import PyramidKernels
+from stillray.model_spec.loader import FeatureFilters, PyramidKernels
 
 WINDOW_SUM = 4  # operations: one value comes in and one goes out, along each axis
 EXP = 1  # operations of an exponential, a root or a logarithm: instructions of their own in time
@@ -34,9 +34,10 @@ def kernel_pyramid_cost(levels: int, options: PyramidKernels) -> tuple[float, fl
         neighbours = 8 * (1 + 3 * 2) * len(level_layout(level, levels, options).distances)
         operations += share * (logits * EXP + kernels + 3 * 4 + 4 * 2 + doubled + neighbours)
         planes += share * (logits + 4 + 4)  # light read and the level's result written
-    for _ in options.finest_filters:  # a distance serves both of its pixels
-        operations += 4 * (3 * options.filter_features + EXP) + 8 * (2 + 3 * 2) + 3
-        planes += 3 + options.filter_features + 2 + 3
+    for _ in options.finest_filters:
+        filtered, moved = gaussian_cost(3, options.filter_features)
+        operations += filtered
+        planes += moved + 1  # a filter has a weight of the pixel itself, too
     resolve = 9 * (1 + 3 * 2) + 3 + 3  # eight neighbours and the past; normalised, modulated
     return operations + resolve, planes
 
@@ -54,4 +55,38 @@ def multi_resolution_cost(levels: int, kernels: int) -> tuple[float, float]:
             # a block's mean, least and most, the step to the coarser level and two limits
             operations += share * (3 + 4 + EXP + 2 + 3 * (3 + 2 + 2))
             planes += share * (1 + 3 / 4)
+    return operations, planes
+
+
+def gaussian_cost(channels: int, features: int) -> tuple[float, float]:
+    """The same of one 3x3 filter by distances of features."""
+    # a distance serves both of its pixels
+    operations = 4 * (3 * features + EXP) + 8 * (2 + channels * 2) + channels
+    return operations, channels + features + 1 + channels
+
+
+def feature_filters_cost(levels: int, options: FeatureFilters) -> tuple[float, float]:
+    """The same of a pyramid of such filters, after a frame was enlarged and accumulated by two.
+
+    Light is filtered over both albedos and as it is: nine planes.
+    """
+    operations, planes = 0.0, 0.0
+    for channels in (3, 6):
+        filtered, moved = gaussian_cost(channels, options.features)
+        # what the past weighs, its samples, and of each channel two products and a share
+        kept = channels // 3 * (EXP + 6 + 3 * 4)
+        operations += filtered + EXP + kept
+        planes += moved + channels // 3 * (1 + 4 + 4)
+    for level in range(levels):
+        share = 0.25**level
+        filtered, moved = gaussian_cost(9, options.features)
+        # taken over and mixed with the next level
+        operations += share * (filtered + EXP + (2 * EXP + 9 * 3 if level < levels - 1 else 0))
+        planes += share * (moved + (1 if level < levels - 1 else 0))
+    # light over two albedos; shares of the coarser levels, each a weighted mean of four pixels
+    operations += 2 * 3 * 3 + levels * EXP + (levels - 1) * 9 * 3
+    planes += 8 + levels - 1 + (levels - 1) * 10 / 4
+    # times two albedos, composed of four, mixed with the last output
+    operations += 2 * 3 * 2 + 4 * (EXP + 2 * 3) + 2 * EXP + 3 * 3
+    planes += 9 + 8 + 4 + 3 + 4 + 3
     return operations, planes

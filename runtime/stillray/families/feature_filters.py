@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillray.families.contract import Context, Request, State, Step, Traits
+from stillray.families.cost import feature_filters_cost
 from stillray.families.feature_reconstruction import (
     Accumulated,
     Enlarged,
@@ -107,6 +108,8 @@ class FeatureFiltersModel:
         Height and width of the network's input must be multiples of this, pixels.
     rules
         The numbers that a reconstruction obeys.
+    cost
+        Operations and float32 planes moved by the reconstruction, a pixel of the picture.
     """
 
     def __init__(self, spec: ModelSpec) -> None:
@@ -119,6 +122,7 @@ class FeatureFiltersModel:
             demodulate=spec.demodulate,
             max_samples=spec.temporal.max_samples,
         )
+        self.cost = feature_filters_cost(spec.network.resolutions, spec.decoder)
         self.traits = Traits(
             required=frozenset(spec.inputs.required),
             optional=frozenset(spec.inputs.optional),

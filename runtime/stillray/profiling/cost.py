@@ -16,15 +16,19 @@ from typing import Any
 import numpy as np
 
 from stillray.families.cost import EXP, WINDOW_SUM
-from stillray.families.registry import family_of, kernels_of
+from stillray.families.feature_filters import FeatureFiltersModel
+from stillray.families.registry import family_of
+from stillray.families.temporal_kernels import TemporalKernels
 from stillray.frame import Frame
-from stillray.model_spec.loader import ModelSpec
 from stillray.models.registry import ModelInfo
 from stillray.models.session import open_session
 from stillray.profiling.machine import PeakRates
 
 _BYTES = 4  # of a float32
-_CHANNELS = {"color": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2}
+_CHANNELS = {
+    "color": 3, "albedo": 3, "normal": 3, "depth": 1, "motion": 2, "roughness": 1,
+    "specular_albedo": 3,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,22 +57,60 @@ def stage_costs(info: ModelInfo, frame: Frame) -> dict[str, Cost]:
     Parameters
     ----------
     info
-        The model.
+        The model: one that filters by kernels, or that doubles frames; of others nothing is known.
     frame
         Its size and the buffers that it holds count, not its values.
     """
-    pixels = frame.shape[0] * frame.shape[1]
+    family = family_of(info.spec)
+    scale = family.traits.scale
+    height, width = (size * scale for size in frame.shape)
+    if isinstance(family, FeatureFiltersModel):
+        network = _network(info, height, width, family.alignment)
+        stages = _each_target_pixel(family, frame)
+    elif isinstance(family, TemporalKernels):
+        network = _network(info, height, width, family.traits.tile_alignment)
+        stages = _each_pixel(family, frame)
+    else:
+        return {}
+    pixels = height * width
     return {
-        "network": _network(info, *frame.shape),
+        "network": network,
         **{
             name: Cost(operations=operations * pixels, bytes=_BYTES * planes * pixels)
-            for name, (operations, planes) in _each_pixel(info.spec, frame).items()
+            for name, (operations, planes) in stages.items()
         },
     }
 
 
-def _each_pixel(spec: ModelSpec, frame: Frame) -> dict[str, tuple[float, float]]:
+def _each_target_pixel(family: FeatureFiltersModel, frame: Frame) -> dict[str, tuple[float, float]]:
+    """Operations and planes of a stage, a pixel of the picture."""
+    spec = family.spec
+    share = 1 / family.scale**2  # pixels of the frame
+    buffers = sum(_CHANNELS[name] for name in frame.given if name in _CHANNELS)
+    surfaces = sum(_CHANNELS[name] for name in frame.given & {"normal", "depth", "roughness"})
+    features = len(spec.network.features)
+    enlarged = 3 + 3 + 3 + surfaces
+    remembered = 4 * 4  # light, both albedos, the last output
+    local = 3 + WINDOW_SUM + 1
+    operations, planes = family.cost
+    return {
+        "inspect": (share * 2 * buffers, share * buffers),
+        "repair": (share * 3 * buffers, share * 2 * buffers),
+        # luminance, its surroundings, the bound of three channels
+        "expose": (share * (5 + local + 3), share * (3 + 1 + 3)),
+        "enlarge": (0, share * buffers + enlarged),
+        # nine depths looked at; of what is remembered four taps
+        "warp": (share * 9 * 2 + 8 + 4 * 2 * remembered, share * 3 + 2 * remembered),
+        # nine channels toned, counts as sines and cosines
+        "encode": (9 * (4 + EXP) + 10 * EXP, enlarged + remembered + features),
+        "reconstruct": (operations, planes),
+        "remember": (EXP, 2 * remembered),
+    }
+
+
+def _each_pixel(family: TemporalKernels, frame: Frame) -> dict[str, tuple[float, float]]:
     """Operations and planes of a stage, a pixel."""
+    spec = family.spec
     albedo = 3 if frame.albedo is not None else 0
     surfaces = sum(
         _CHANNELS[name] for name in ("normal", "depth") if getattr(frame, name) is not None
@@ -76,7 +118,7 @@ def _each_pixel(spec: ModelSpec, frame: Frame) -> dict[str, tuple[float, float]]
     features = len(spec.network.features)
     buffers = sum(_CHANNELS[name] for name in frame.given if name in _CHANNELS)
     local = 3 + WINDOW_SUM + 1  # tone map, window, scale
-    operations, planes = kernels_of(spec).cost
+    operations, planes = family.cost
     return {
         "inspect": (2 * buffers, buffers),
         "repair": (3 * buffers, 2 * buffers),
@@ -109,8 +151,8 @@ def _each_pixel(spec: ModelSpec, frame: Frame) -> dict[str, tuple[float, float]]
     }
 
 
-def _network(info: ModelInfo, height: int, width: int) -> Cost:
-    multiple = family_of(info.spec).traits.tile_alignment
+def _network(info: ModelInfo, height: int, width: int, multiple: int) -> Cost:
+    """The work of a network on a frame rounded up to a multiple of pixels."""
     # work is proportional to the pixels, so that a small frame tells
     side = max(multiple, 16)
     small = network_cost(info.path, side, side)

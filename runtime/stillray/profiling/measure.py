@@ -26,8 +26,9 @@ TOTAL, REST = "total", "rest"
 #: The stages in the order of a frame's way, files included.
 ORDER = (
     "read", "inspect", "repair", "demodulate", "expose", "specular_motion", "surface_guides",
-    "reproject", "reject_history", "accumulate", "accumulate_albedo", "resample_output", "encode",
-    "network", "reconstruct", "remodulate", "layers", "keep_output", REST, "write",
+    "reproject", "reject_history", "accumulate", "accumulate_albedo", "resample_output", "enlarge",
+    "warp", "encode", "network", "reconstruct", "remodulate", "layers", "keep_output", "remember",
+    REST, "write",
 )  # fmt: skip
 _SETTLING = 2  # frames that still allocate: two histories change places
 _LEAST_FRAMES = 3

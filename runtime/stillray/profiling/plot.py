@@ -62,7 +62,8 @@ def _draw_bars(axes: Axes, results: Sequence[Result]) -> None:
     present = {name for result in results for name in result.run.stages()}
     names = [name for name in ORDER if name in present and name not in _FILES]
     colour_of = matplotlib.colormaps["tab20"]
-    colours = {name: colour_of(index) for index, name in enumerate(ORDER)}
+    # no model has all stages: those that share a colour, the first and last, are files but for one
+    colours = {name: colour_of(index % colour_of.N) for index, name in enumerate(ORDER)}
     longest = max(result.run.stages()[TOTAL].median for result in results)
     for row, result in enumerate(results):
         stages = result.run.stages()
