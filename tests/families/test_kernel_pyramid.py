@@ -63,8 +63,9 @@ def test_pyramid_equals_the_loop_oracle(height, width, spread):
     mean, sample, albedo, previous, logits = draw(height, width, spread=spread)
     got = filtered(mean, sample, albedo, previous, logits, OPTIONS, Strips(1))
     expected = oracles.kernel_pyramid(mean, sample, albedo, previous, logits, OPTIONS)
-    # float32 sums of at most 25 products at each of three levels
-    np.testing.assert_allclose(got, expected, rtol=5e-6)
+    # float32 sums of at most 25 products at each of three levels; of features that all lie at the
+    # bound squares of hundreds cancel
+    np.testing.assert_allclose(got, expected, rtol=5e-6 if spread < 10 else 5e-5)
 
 
 def test_one_kernel_a_level_equals_the_loop_oracle():

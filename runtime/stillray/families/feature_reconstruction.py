@@ -31,7 +31,7 @@ from stillray.arrays.strips import Strips, planes_of, with_halo
 from stillray.arrays.workspace import Workspace
 from stillray.families.depth_to_space import DepthToSpace
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
-from stillray.families.gaussian import Weights, framed, gaussian
+from stillray.families.gaussian import Weights, framed, gaussian, measured
 from stillray.model_spec.loader import Demodulate, FeatureFilters
 from stillray.stages.demodulate import demodulation_albedo
 
@@ -211,15 +211,18 @@ class _Reconstruction:
             count = self._rules.filters.features
             parts = [
                 framed(workspace.array(name, (size, high, width + 2)), filled, 1)
-                for name, size in (("values", channels), ("features", count), ("weight", 1))
-            ]
-            values, features, weight = parts
+                for name, size in (
+                    ("values", channels), ("features", count), ("norms", 1), ("weight", 1)
+                )
+            ]  # fmt: skip
+            values, features, norms, weight = parts
             fill(near, values[:, filled, 1:-1])
             features[:, filled, 1:-1] = self._bounded(maps[planes.features, near])
+            measured(features[:, filled, 1:-1], norms[0, filled, 1:-1])
             own = self._bounded(maps[planes.importance, near])
             weight[0, filled, 1:-1] = cv2.exp(own).reshape(own.shape)
             out = workspace.array("filtered", (channels, high - 2, width))
-            weights = Weights(features, weight[0], weight[0, 1:-1, 1:-1])
+            weights = Weights(features, norms[0], weight[0], weight[0, 1:-1, 1:-1])
             gaussian(values, weights, out, workspace)
             finish(rows, out)
 

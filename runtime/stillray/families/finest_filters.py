@@ -15,7 +15,7 @@ import numpy as np
 from stillray.arrays.strips import Strips, with_halo
 from stillray.families.box_filter import bounded_exp
 from stillray.families.depth_to_space import DepthToSpace
-from stillray.families.gaussian import Weights, framed, gaussian
+from stillray.families.gaussian import Weights, framed, gaussian, measured
 from stillray.families.pyramid_logits import LevelLayout
 
 
@@ -50,50 +50,80 @@ def filter_finest(
         In the workspace of this thread: convex combinations of what was blended.
     """
     height, width = size
-    source, other = (strips.workspace.array(f"finest {index}", (3, *size)) for index in (0, 1))
-    strips.run(lambda rows: blend(rows, source[:, rows]), height, width)
+    margin = max(layout.filter_distances)
+    inside = slice(margin, margin + height)
+    count = layout.features.stop - layout.features.start
+    # with zeros around: a pass looks beyond the border, where nothing weighs anything
+    source, other, features, norms = (
+        framed(
+            strips.workspace.array(name, (planes, height + 2 * margin, width + 2 * margin)),
+            inside,
+            margin,
+        )
+        for name, planes in (
+            ("finest 0", 3),
+            ("finest 1", 3),
+            ("finest features", count),
+            ("finest norms", 1),
+        )
+    )
+    within = slice(margin, margin + width)
+
+    def fill(rows: slice) -> None:
+        at = slice(margin + rows.start, margin + rows.stop)
+        blend(rows, source[:, at, within])
+        given = logits[layout.features, rows]
+        np.clip(given, -np.float32(bound), np.float32(bound), out=features[:, at, within])
+        measured(features[:, at, within], norms[0, at, within])
+
+    strips.run(fill, height, width)
     for index in range(len(layout.filter_distances)):
-        step = _Filter(source, logits, layout, index, bound)
+        step = _Filter(source, (features, norms[0]), logits, layout, index, bound)
         strips.run(partial(step.run, other, strips), height, width)
         source, other = other, source
-    return source
+    return source[:, inside, within]
 
 
 class _Filter:
-    """One pass over a level."""
+    """One pass over a level, whose light and features have a margin of zeros."""
 
     def __init__(
         self,
         source: np.ndarray,
+        features: tuple[np.ndarray, np.ndarray],
         logits: np.ndarray | DepthToSpace,
         layout: LevelLayout,
         index: int,
         bound: float,
     ) -> None:
-        self._source, self._logits, self._bound = source, logits, bound
-        self._features, self._distance = layout.features, layout.filter_distances[index]
+        self._source, self._features, self._logits = source, features, logits
+        self._margin, self._bound = max(layout.filter_distances), bound
+        self._distance = layout.filter_distances[index]
         weight = layout.filters.start + 2 * index
         self._weight, self._own = slice(weight, weight + 1), slice(weight + 1, weight + 2)
 
     def run(self, target: np.ndarray, strips: Strips, rows: slice) -> None:
-        """Filter rows into those of ``target``, ``(3, h, w)``."""
-        workspace, margin = strips.workspace, self._distance
-        height, width = self._source.shape[1:]
-        near, inner = with_halo(rows, margin, height)
-        top = margin - inner.start
-        filled = slice(top, top + near.stop - near.start)
-        features = self._logits[self._features, near]
-        shape = (rows.stop - rows.start + 2 * margin, width + 2 * margin)
-        values, guides, other = (
-            framed(workspace.array(name, (count, *shape)), filled, margin)
-            for name, count in (("values", 3), ("features", len(features)), ("weight", 1))
+        """Filter rows into those of ``target``, which has a margin, too."""
+        workspace, distance, margin = strips.workspace, self._distance, self._margin
+        height, width = (size - 2 * margin for size in target.shape[1:])
+        near, inner = with_halo(rows, distance, height)
+        top = distance - inner.start
+        shape = (rows.stop - rows.start + 2 * distance, width + 2 * distance)
+        (other,) = framed(
+            workspace.array("weight", (1, *shape)),
+            slice(top, top + near.stop - near.start),
+            distance,
         )
-        values[:, filled, margin:-margin] = self._source[:, near]
-        bound = np.float32(self._bound)
-        np.clip(features, -bound, bound, out=guides[:, filled, margin:-margin])
         own = workspace.array("own", (near.stop - near.start, width))
         bounded_exp(self._logits[self._weight, near][0], self._bound, own)
-        other[0, filled, margin:-margin] = own
+        other[top : top + len(own), distance:-distance] = own
         own = own[: rows.stop - rows.start]
         bounded_exp(self._logits[self._own, rows][0], self._bound, own)
-        gaussian(values, Weights(guides, other[0], own), target[:, rows], workspace, margin)
+        window = (
+            slice(margin + rows.start - distance, margin + rows.stop + distance),
+            slice(margin - distance, margin + width + distance),
+        )
+        features, norms = self._features
+        weights = Weights(features[:, *window], norms[window], other, own)
+        out = target[:, margin + rows.start : margin + rows.stop, margin : margin + width]
+        gaussian(self._source[:, *window], weights, out, workspace, distance)

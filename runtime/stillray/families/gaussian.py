@@ -7,6 +7,7 @@ pixels apart.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -17,6 +18,7 @@ from stillray.families.pyramid_logits import NEIGHBOURS
 
 #: Squared distances beyond it weigh as it does, 1e-26: their exponentials would be denormal.
 MOST_DISTANCE = 60.0
+_ROOT = math.sqrt(2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +28,9 @@ class Weights:
     Attributes
     ----------
     features : (k, h + 2 d, w + 2 d) float32
+        Times the root of 2, see `measured`.
+    norms : (h + 2 d, w + 2 d) float32
+        Of the features.
     other : (h + 2 d, w + 2 d) float32
         What a pixel weighs to others, >= 0; 0 where the border lies outside of the frame.
     own : (h, w) float32
@@ -33,6 +38,7 @@ class Weights:
     """
 
     features: np.ndarray
+    norms: np.ndarray
     other: np.ndarray
     own: np.ndarray
 
@@ -68,6 +74,7 @@ def gaussian(
     for plane, sums in zip(values, out, strict=True):
         np.multiply(plane[inner], weights.own, out=sums)
     share = workspace.array("share", (height, width))
+    norms = weights.norms
     for down, right in NEIGHBOURS[len(NEIGHBOURS) // 2 :]:
         across, beyond = distance * abs(right), distance * max(right, 0)
         # pixels of which either is in the result, and the others of their pairs
@@ -75,19 +82,42 @@ def gaussian(
         first = _window(distance - distance * down, distance - beyond, rows, columns)
         second = _window(distance, distance * (1 + right) - beyond, rows, columns)
         alike = workspace.array("alike", (rows, columns))
-        _likeness(weights.features, first, second, alike, workspace)
+        # |f_p - f_q|^2 = |f_p|^2 + |f_q|^2 - 2 f_p f_q: a product a feature, no difference; what
+        # cancels is at most k times the bound of features squared, 1e-4 of a share in float32
+        cv2.add(norms[first], norms[second], dst=alike)
+        for plane in weights.features:
+            cv2.accumulateProduct(plane[first], plane[second], alike)
+        cv2.max(alike, -MOST_DISTANCE, dst=alike)
+        cv2.exp(alike, dst=alike)
         for sign, left in ((1, beyond), (-1, across - beyond)):
             top = distance * down * (sign > 0)
             place = _window(
                 distance + sign * distance * down, distance * (1 + sign * right), height, width
             )
             reached = alike[_window(top, left, height, width)]
-            np.multiply(reached, weights.other[place], out=share)
-            total += share
+            cv2.multiply(reached, weights.other[place], dst=share)
+            cv2.add(total, share, dst=total)
             for plane, sums in zip(values, out, strict=True):
                 cv2.accumulateProduct(plane[place], share, sums)
     np.reciprocal(total, out=total)
     out *= total
+
+
+def measured(features: np.ndarray, norms: np.ndarray) -> None:
+    """Make features ready for `Weights`.
+
+    Parameters
+    ----------
+    features : (k, h, w) float32
+        Multiplied by the root of 2: their product is then twice that of the features.
+    norms : (h, w) float32
+        Written: minus the squared length of the features, as they were given.
+    """
+    norms.fill(0)
+    for plane in features:
+        cv2.multiply(plane, _ROOT, dst=plane)
+        cv2.accumulateSquare(plane, norms)
+    cv2.multiply(norms, -0.5, dst=norms)
 
 
 def framed(array: np.ndarray, filled: slice, margin: int) -> np.ndarray:
@@ -110,20 +140,6 @@ def framed(array: np.ndarray, filled: slice, margin: int) -> np.ndarray:
 
 
 _Window = tuple[slice, slice]
-
-
-def _likeness(
-    features: np.ndarray, first: _Window, second: _Window, out: np.ndarray, workspace: Workspace
-) -> None:
-    """``exp(-|f_p - f_q|^2)`` of pairs of pixels: the same for both."""
-    apart = workspace.array("apart", out.shape)
-    out.fill(0)
-    for plane in features:
-        np.subtract(plane[first], plane[second], out=apart)
-        cv2.accumulateSquare(apart, out)
-    np.minimum(out, np.float32(MOST_DISTANCE), out=out)
-    np.negative(out, out=out)
-    cv2.exp(out, dst=out)
 
 
 def _window(top: int, left: int, height: int, width: int) -> _Window:
