@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ torch = pytest.importorskip("torch")
 from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
 from stillray.families.feature_filters import FeatureFiltersModel  # noqa: E402
+from stillray.frame import Frame  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray_training.checkpoint import load_network  # noqa: E402
 from stillray_training.loss_log import LOG  # noqa: E402
@@ -21,8 +23,9 @@ from stillray_training.networks.fuse import fuse  # noqa: E402
 from stillray_training.networks.multi_branch import MultiBranchBlock, multi_branch_net  # noqa: E402
 from stillray_training.networks.repvgg import by_branches  # noqa: E402
 from stillray_training.simulate.sequence import RECORD, write  # noqa: E402
-from stillray_training.upscaling import loop, unroll  # noqa: E402
+from stillray_training.upscaling import loop, price_list, unroll  # noqa: E402
 from stillray_training.upscaling.clips import ClipSampler, load_clip  # noqa: E402
+from stillray_training.upscaling.price_list import Way, prices  # noqa: E402
 from stillray_training.upscaling.time_in_turn import times_in_turn  # noqa: E402
 
 
@@ -196,3 +199,36 @@ def test_methods_are_timed_in_turn_and_the_first_round_is_left_out():
     times = times_in_turn(methods, 0.0)
     assert seen == [(turn, name) for turn in range(4) for name in "ab"]
     assert {name: len(values) for name, values in times.items()} == {"a": 3, "b": 3}
+
+
+def test_a_price_is_of_the_way_that_made_the_picture():
+    truth = [np.full((16, 20, 3), 0.25 + 0.05 * index, np.float32) for index in range(4)]
+    seen = []
+
+    def slow(frame):
+        seen.append("slow")
+        time.sleep(0.02 if len(seen) > 2 else 0.2)  # the first frame allocates, and is left out
+        return frame.color
+
+    ways = [
+        Way(label="right", frames=[Frame(color=image) for image in truth], denoise=slow),
+        Way(
+            label="dark",
+            frames=[Frame(color=image) for image in truth],
+            denoise=lambda frame: seen.append("dark") or frame.color / 2,
+        ),
+    ]
+    found = prices(ways, [7.0, 3.0], truth[-2:])
+    assert seen == ["slow", "dark"] * 4
+    assert [price.render for price in found.values()] == [7.0, 3.0]
+    assert 20 <= found["right"].denoise < 150
+    assert found["dark"].denoise < found["right"].denoise
+    assert found["right"].scores["smape"] < 1e-6 < 0.3 < found["dark"].scores["smape"]
+
+
+def test_renders_without_recorded_cameras_have_no_price(tmp_path):
+    folder = render(tmp_path / "scene-0")
+    record = {"scene": "scene", "options": {"frames": 4, "height": 10, "width": 12}}
+    (folder / RECORD).write_text(json.dumps(record))
+    with pytest.raises(InputError, match="must have recorded cameras"):
+        price_list.read_record(folder)

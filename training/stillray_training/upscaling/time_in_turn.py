@@ -28,7 +28,7 @@ _LEAST_ROUNDS = 3
 
 
 def times_in_turn(
-    methods: Mapping[str, Callable[[int], object]], seconds: float
+    methods: Mapping[str, Callable[[int], object]], seconds: float, rounds: int = _LEAST_ROUNDS
 ) -> dict[str, list[float]]:
     """Milliseconds of every method in every round but the first, which warms up.
 
@@ -37,11 +37,13 @@ def times_in_turn(
     methods
         By name what does a frame, given the number of its round.
     seconds
-        How long rounds are begun; there are three at least.
+        How long rounds are begun.
+    rounds
+        And how many there are at least, beside the first.
     """
     times: dict[str, list[float]] = {name: [] for name in methods}
     began, turn = time.perf_counter(), 0
-    while turn <= _LEAST_ROUNDS or time.perf_counter() - began < seconds:
+    while turn <= rounds or time.perf_counter() - began < seconds:
         for name, run in methods.items():
             start = time.perf_counter()
             run(turn)
