@@ -1,4 +1,4 @@
-"""``python -m stillray_training.upscaling.price_list`` HALF --full FULL --scenes SCENES --model NAME.
+"""``python -m stillray_training.upscaling.price_list HALF --full FULL --scenes SCENES --model M``.
 
 What a picture costs from its first traced ray on: seconds of rendering and of denoising beside its
 quality, for half the pixels doubled and for all of them traced. Renders and methods take turns in
