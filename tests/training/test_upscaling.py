@@ -150,6 +150,25 @@ def test_a_perfect_recurrence_has_no_loss_and_a_flickering_one_has(tmp_path):
     assert (flicker > 0.01).all()
 
 
+def test_frames_before_those_that_are_learned_from_make_their_past(tmp_path):
+    clip = [load_clip(render(tmp_path / "plane-0-0", frames=6), small(), Strips(1))]
+    spec = small(frames=2, warm_frames=4)
+    sampler = ClipSampler(clip, spec)
+    batches = [sampler.batch(step) for step in range(12)]
+    assert {len(batch) for batch in batches} == {2, 3, 4, 5, 6}
+    network = multi_branch_net(spec)
+    batch = max(batches, key=len)
+    loss = loop.sequence_loss(network, batch, spec)
+    # the same as of the two last frames after the others, and not as of them alone
+    whole = replace(spec, training=replace(spec.training, frames=6))
+    assert not torch.isclose(loss, loop.sequence_loss(network, batch[-2:], spec))
+    assert not torch.isclose(loss, loop.sequence_loss(network, batch, whole))
+    (gradient,) = torch.autograd.grad(loss, network.heads[0].bias)
+    assert gradient.abs().max() > 0
+    with pytest.raises(InputError, match="must have 7 frames"):
+        ClipSampler(clip, small(frames=2, warm_frames=5))
+
+
 def test_training_learns_and_resumes(tmp_path):
     render(tmp_path / "data" / "plane-0-0")
     spec = small()

@@ -430,6 +430,7 @@ class Training:
     bfloat16: bool = False
     still_share: float = 0.0  # share of patches of single frames of 2 to 32 samples a pixel, [0, 1]
     frames: int = 1  # that a recurrent model is unrolled over
+    warm_frames: int = 0  # most frames before those, which are run and not learned from
     weight_decay: float = 0.0  # decoupled, see `torch.optim.AdamW`; >= 0
     optimiser: str = "adam"  # one of OPTIMISERS
     albedo_weight: float = 0.0  # weight of the error of accumulated albedos, >= 0
@@ -444,7 +445,7 @@ class Training:
             _within(f"training.{key}", getattr(self, key), 0, 1)
         for key in ("steps", "batch", "patch", "frames"):
             _within(f"training.{key}", getattr(self, key), 1, _MAX_COUNT)
-        for key in ("history_from", "history_every", "seed"):
+        for key in ("history_from", "history_every", "seed", "warm_frames"):
             _within(f"training.{key}", getattr(self, key), 0, _MAX_COUNT)
         _one_of("training.optimiser", self.optimiser, OPTIMISERS)
         _within("training.learning_rate", self.learning_rate, 1e-12, 1e3)

@@ -105,6 +105,8 @@ def _reference(sequence: Path, number: int, frame: Frame, scale: int) -> Frame:
 class ClipSampler:
     """Draws augmented patches of consecutive frames; the n-th batch depends on seed and n only.
 
+    A batch has the recipe's frames, after none to ``warm_frames`` others.
+
     Parameters
     ----------
     clips
@@ -120,9 +122,10 @@ class ClipSampler:
         self._side = recipe.patch // self._scale
         for clip in clips:
             least = min(clip.frames[0].shape)
-            if len(clip.frames) < recipe.frames or least < self._side:
+            most = recipe.frames + recipe.warm_frames
+            if len(clip.frames) < most or least < self._side:
                 raise InputError(
-                    f"sequences must have {recipe.frames} frames of {self._side} pixels each way, "
+                    f"sequences must have {most} frames of {self._side} pixels each way, "
                     f"got {len(clip.frames)} of {least}"
                 )
 
@@ -130,24 +133,23 @@ class ClipSampler:
         """A batch of one training step: for each frame its arrays, ``(n, c, h, w)``."""
         recipe = self._spec.training
         rng = np.random.default_rng([recipe.seed, step])
-        clips = [self._patch(rng) for _ in range(recipe.batch)]
+        warm = int(rng.integers(recipe.warm_frames + 1)) if recipe.warm_frames else 0
+        count = recipe.frames + warm
+        clips = [self._patch(rng, count) for _ in range(recipe.batch)]
         return [
             {name: np.stack([clip[at][name] for clip in clips]) for name in clips[0][at]}
-            for at in range(recipe.frames)
+            for at in range(count)
         ]
 
-    def _patch(self, rng: np.random.Generator) -> list[Sample]:
+    def _patch(self, rng: np.random.Generator, count: int) -> list[Sample]:
         recipe = self._spec.training
         clip = self._clips[rng.integers(len(self._clips))]
-        first = int(rng.integers(len(clip.frames) - recipe.frames + 1))
+        first = int(rng.integers(len(clip.frames) - count + 1))
         height, width = clip.frames[0].shape
         top = int(rng.integers(height - self._side + 1))
         left = int(rng.integers(width - self._side + 1))
         change = _Change.drawn(rng, recipe.drop_feature, recipe.exposure_stops)
-        return [
-            self._sample(clip, at, (top, left), change)
-            for at in range(first, first + recipe.frames)
-        ]
+        return [self._sample(clip, at, (top, left), change) for at in range(first, first + count)]
 
     def _sample(self, clip: Clip, at: int, corner: tuple[int, int], change: _Change) -> Sample:
         frame, reference = clip.frames[at], clip.references[at]

@@ -3,8 +3,9 @@
 differs: the perceptual term is one minus structural similarity as displayed, since LPIPS is made of
 weights that would have to be downloaded: it knows contrasts and edges, and not what textures look
 like. References of few samples are made smooth by Open Image Denoise
-(`stillray_training.targets`); the paper's have 8192 samples. Gradients of all frames of a patch
-reach back to the first.
+(`stillray_training.targets`); the paper's have 8192 samples. Gradients reach
+back over the frames that are learned from; those before (``warm_frames``) make pasts longer for
+a third of the price.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ _MOST_GRADIENT = 1.0  # norm: recurrences have steep walls
 def sequence_loss(
     network: nn.Module, batch: list[Sample], spec: ModelSpec, progress: float = 0.0
 ) -> Tensor:
-    """Mean loss over the frames of a batch.
+    """Mean loss over the last frames of a batch, as many as the recipe has; no gradient goes
+    further back.
 
     Parameters
     ----------
@@ -50,8 +52,14 @@ def sequence_loss(
     before: Remembered | None = None
     wanted_before: Tensor | None = None
     total: Tensor | None = None
-    for sample in batch:
+    warm = len(batch) - spec.training.frames
+    for index, sample in enumerate(batch):
         frame = {name: torch.from_numpy(array) for name, array in sample.items()}
+        if index < warm:
+            with torch.no_grad():
+                _, before, _ = unrolled_step(network, frame, before, names, rules)
+            wanted_before = frame["wanted"]
+            continue
         image, before, recalled = unrolled_step(network, frame, before, names, rules)
         loss = frame_loss(image, before, frame, spec.training)
         if recalled is not None and wanted_before is not None:
@@ -61,7 +69,7 @@ def sequence_loss(
         wanted_before = frame["wanted"]
         total = loss if total is None else total + loss
     assert total is not None
-    return total.mean() / len(batch)
+    return total.mean() / spec.training.frames
 
 
 def frame_loss(
