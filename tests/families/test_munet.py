@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import stillray
-from stillray.arrays.resample import enlarge
 from stillray.frame import Frame
 from stillray.models.registry import find_model
+from stillray_training.upscaling.enlarge import enlarge
 
 SIZE = (45, 70)
 SPEED = 0.35  # pixels a frame

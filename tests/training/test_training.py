@@ -152,7 +152,7 @@ def test_patches_have_more_edges_where_two_are_compared(data, small, monkeypatch
     examples = load_examples(find_sequences(data)[0], small, Strips(1))
 
     def slopes(share):
-        monkeypatch.setattr(patches, "_BUSIER", share)
+        monkeypatch.setattr(patches, "BUSIER", share)
         batches = [PatchSampler(examples, small).batch(step) for step in range(40)]
         return np.mean([np.abs(np.diff(np.log(b.reference + 0.05))).mean() for b in batches])
 

@@ -13,7 +13,8 @@ from stillray_training.examples import NOISY, QUIET, STILL, Example
 
 _SAMPLES_KNOWN = 0.5  # share of patches whose frames say how many samples they have
 _AT_BORDER = 0.3  # share of patches that touch the top or bottom, and the left or right
-_BUSIER = 0.5  # share of patches that are the one of two with more edges: errors are there
+#: Share of patches that are the one of two with more edges: errors are there.
+BUSIER = 0.5
 _FLAT = 0.05  # relative contrast of a reference patch below which there is little to learn
 
 
@@ -80,7 +81,7 @@ class PatchSampler:
             kind = STILL
         places = self._places.get(kind) or self._places[NOISY]
         example, window, edges = self._window(places, rng)
-        if rng.random() < _BUSIER:
+        if rng.random() < BUSIER:
             other, elsewhere, more = self._window(places, rng)
             if more > edges:
                 example, window = other, elsewhere

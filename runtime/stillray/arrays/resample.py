@@ -16,14 +16,3 @@ def double(image: np.ndarray) -> np.ndarray:
     """Every pixel twice along each axis."""
     height, width = image.shape[:2]
     return cv2.resize(image, (2 * width, 2 * height), interpolation=cv2.INTER_NEAREST)
-
-
-def enlarge(image: np.ndarray, times: int) -> np.ndarray:
-    """Radiance ``(h, w, 3)``, >= 0, at some times its size, by Lanczos.
-
-    Of its logarithm: of radiance itself Lanczos draws black rims around what is bright.
-    """
-    height, width = image.shape[:2]
-    size = (width * times, height * times)
-    enlarged = cv2.resize(np.log1p(image), size, interpolation=cv2.INTER_LANCZOS4)
-    return np.asarray(np.expm1(np.maximum(enlarged, 0)))

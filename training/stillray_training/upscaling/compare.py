@@ -17,7 +17,6 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from stillray.arrays.resample import enlarge
 from stillray.cli import program
 from stillray.compare import metrics
 from stillray.compare.metrics import METRICS
@@ -28,6 +27,7 @@ from stillray.pipeline.denoiser import Denoiser
 from stillray_training.examples import find_sequences
 from stillray_training.peers.oidn import open_image_denoise
 from stillray_training.simulate.sequence import RECORD
+from stillray_training.upscaling.enlarge import enlarge
 
 ENLARGED, TRACED = "{} + Lanczos", "{}, all pixels traced"
 OIDN = "oidn-high"

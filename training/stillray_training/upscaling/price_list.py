@@ -20,7 +20,6 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from stillray.arrays.resample import enlarge
 from stillray.arrays.strips import available_threads
 from stillray.cli import program
 from stillray.compare import metrics
@@ -35,6 +34,7 @@ from stillray_training.simulate.paths import recorded_path
 from stillray_training.simulate.sequence import RECORD, SequenceOptions, plan_scene
 from stillray_training.simulate.stage import Stage
 from stillray_training.simulate.variant import load_mitsuba
+from stillray_training.upscaling.enlarge import enlarge
 from stillray_training.upscaling.time_in_turn import times_in_turn
 
 _MEASURED = ("psnr", "ssim", "smape", "flip", "flicker")
