@@ -184,7 +184,9 @@ def render_times(mi: Any, scene: Path, records: Sequence[SequenceOptions]) -> li
 def read_record(sequence: Path) -> tuple[str, SequenceOptions]:
     """The scene's name and the options of a rendered sequence."""
     record = json.loads((sequence / RECORD).read_text())
-    given = {name: tuple(v) if isinstance(v, list) else v for name, v in record["options"].items()}
+    given: dict[str, Any] = {
+        name: tuple(v) if isinstance(v, list) else v for name, v in record["options"].items()
+    }
     options = SequenceOptions(**given)
     if options.cameras is None:
         raise InputError(f"{sequence}: must have recorded cameras (--cameras)")
