@@ -117,7 +117,6 @@ def _clusters(denoiser: stillray.Denoiser, brightness: float, after: int) -> flo
     "3x3 pixels share a sample of 1e3, moving 1 pixel a frame, 8 frames",
     "largest pixel / the same without it",
     100,
-    kpyr_5=_TAKES_QUIET_SAMPLES,
     nbg_7x3=_TRAINED_ON_CLEAN,
     wskp_mr=_TRUSTS_SAMPLES,
 )

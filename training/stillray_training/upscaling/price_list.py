@@ -115,7 +115,7 @@ def ways_of(
     stack
         Closes the denoisers.
     traced
-        Frames by name: ``half``, ``full``, and further ones of half the size.
+        Frames by name: ``half``, ``full``, and further ones of half the size, by their samples.
     models
         What doubles, and the flagship.
     quick
@@ -130,7 +130,8 @@ def ways_of(
     for name in traced:
         if name != "full":
             doubling = ours(models[0])
-            label = f"{name}: {doubling.model.name}"
+            samples = "" if name == "half" else f" {name}"
+            label = f"half{samples}: {doubling.model.name}"
             found.append((name, Way(label=label, frames=traced[name], denoise=doubling.denoise)))
     plain = ours(models[1])
     scale = doubling.scale
@@ -219,8 +220,9 @@ def main(
         }
         records = {"half": options}
         if more is not None:
-            _, records["more"] = read_record(more / sequence.name)
-            traced["more"] = _frames(more / sequence.name)
+            _, sampled = read_record(more / sequence.name)
+            records[f"{sampled.spp} spp"] = sampled
+            traced[f"{sampled.spp} spp"] = _frames(more / sequence.name)
         height, width = traced["full"][0].shape
         # all pixels are traced without what models that double read beside
         records["full"] = replace(options, height=height, width=width, guides=(), reference_scale=1)
