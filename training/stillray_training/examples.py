@@ -43,9 +43,7 @@ _QUIETS = 2  # and of hundreds to thousands
 _LIT = 3  # and after frames of as many samples, of a camera and things that stay
 _MOST_SAMPLES = 4096
 _FIREFLIES = 0.4  # share of quiet examples that have some
-_WANDERING = (
-    0.5  # share of those, of all with a past, whose past has them too, one pixel away a frame
-)
+_WANDERING = 0.5  # share of those with a past whose past has them too, one pixel on a frame
 _CHANGING = 0.7  # share of pasts that stay in whose frames the light changes
 _LIT_SAMPLES = (2.0, 256.0)  # of a frame after others
 _PAST = 4  # most frames before it

@@ -57,7 +57,7 @@ def measure(
     InputError
         Its last frames have no references of the model's size, or ``full`` is of another size.
     """
-    frames = _frames(sequence)
+    frames = frames_of(sequence)
     paths = sorted(sequence.glob("target_*.exr")) or sorted(sequence.glob("ref_*.exr"))
     references = [read_exr(path).color for path in paths[-_PICTURES:]]
     (name, scale, ours), (title, _, first) = _denoised(model, frames), _denoised(flagship, frames)
@@ -68,7 +68,7 @@ def measure(
     for method, images in ((title, first), (OIDN, _oidn(frames))):
         methods[ENLARGED.format(method)] = [enlarge(image, scale) for image in images]
     if full is not None:
-        traced = _frames(full / json.loads((sequence / RECORD).read_text())["scene"])
+        traced = frames_of(full / json.loads((sequence / RECORD).read_text())["scene"])
         if not traced or traced[-1].shape != size:
             raise InputError(f"full must hold {sequence.name}'s scene of {size}, got {full}")
         methods[TRACED.format(title)] = _denoised(flagship, traced)[2]
@@ -79,7 +79,8 @@ def measure(
     }
 
 
-def _frames(sequence: Path) -> list[Frame]:
+def frames_of(sequence: Path) -> list[Frame]:
+    """The frames of a folder, in order."""
     return [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
 
 

@@ -34,6 +34,7 @@ from stillray_training.simulate.paths import recorded_path
 from stillray_training.simulate.sequence import RECORD, SequenceOptions, plan_scene
 from stillray_training.simulate.stage import Stage
 from stillray_training.simulate.variant import load_mitsuba
+from stillray_training.upscaling.compare import frames_of
 from stillray_training.upscaling.enlarge import enlarge
 from stillray_training.upscaling.time_in_turn import times_in_turn
 
@@ -194,10 +195,6 @@ def read_record(sequence: Path) -> tuple[str, SequenceOptions]:
     return record["scene"], options
 
 
-def _frames(folder: Path) -> list[Frame]:
-    return [read_exr(path) for path in sorted(folder.glob("frame_*.exr"))]
-
-
 def main(
     half: Annotated[Path, typer.Argument(help="Folder of rendered sequences to double.")],
     full: Annotated[Path, typer.Option(help="Folder of the same scenes at full size, by name.")],
@@ -215,14 +212,14 @@ def main(
     for sequence in find_sequences(half):
         name, options = read_record(sequence)
         traced: dict[str, Sequence[Frame]] = {
-            "half": _frames(sequence),
-            "full": _frames(full / name),
+            "half": frames_of(sequence),
+            "full": frames_of(full / name),
         }
         records = {"half": options}
         if more is not None:
             _, sampled = read_record(more / sequence.name)
             records[f"{sampled.spp} spp"] = sampled
-            traced[f"{sampled.spp} spp"] = _frames(more / sequence.name)
+            traced[f"{sampled.spp} spp"] = frames_of(more / sequence.name)
         height, width = traced["full"][0].shape
         # all pixels are traced without what models that double read beside
         records["full"] = replace(options, height=height, width=width, guides=(), reference_scale=1)
