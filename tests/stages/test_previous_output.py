@@ -172,3 +172,24 @@ def test_what_was_just_uncovered_has_no_past_but_thin_lines_keep_theirs(rng):
     )
     np.testing.assert_array_equal(past, expected)
     np.testing.assert_array_equal(given, output)  # which belongs to the history
+
+
+@pytest.mark.parametrize("in_place", [False, True])
+def test_where_light_is_less_sure_the_past_is_less_valid_until_it_is_none(rng, in_place):
+    output = rng.uniform(1, 2, (9, 11, 4)).astype(np.float32)
+    confidence = rng.choice(np.float32([0, 0.25, 0.5, 0.6, 0.75, 0.9, 1]), (9, 11))
+    expected = output.copy()
+    for row, column in np.ndindex(9, 11):
+        valid = max(2 * float(confidence[row, column]) - 1, 0)  # 1 at 1, 0 from a half on
+        expected[row, column, 3] *= valid
+        if valid == 0:
+            expected[row, column] = 0
+    past = output.copy()
+    given = past if not in_place else output
+    result = previous_output.forget_uncovered(
+        past,
+        given,
+        SimpleNamespace(disoccluded=None, history_confidence=confidence),
+        Strips(2, pixels=11 * 2),
+    )
+    np.testing.assert_allclose(result, expected, rtol=1e-6)

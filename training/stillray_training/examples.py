@@ -29,6 +29,7 @@ from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
 from stillray.stages.state import History, Prepared
 from stillray_training.blocks import mean_frame, read_blocks
+from stillray_training.film import DEVIATIONS, frame_through_film, through_film
 from stillray_training.quiet import fireflies, quiet_frame, uneven_frame
 from stillray_training.shade import moving_shade
 from stillray_training.simulate.sequence import is_complete
@@ -39,6 +40,7 @@ STARTS = (1, 3, 8)  # frames accumulated before the last one is learned from
 NOISY, STILL, QUIET = "noisy", "still", "quiet"
 _STILLS = 3  # examples of a few samples a pixel, of each sequence that has blocks
 _UNEVEN = 2  # and of those whose noise lies in a part of the picture
+_WIDE = 0.3  # share of the others that come through a wider pixel filter
 _QUIETS = 2  # and of hundreds to thousands
 _LIT = 3  # and after frames of as many samples, of a camera and things that stay
 _MOST_SAMPLES = 4096
@@ -125,7 +127,12 @@ def _all_examples(
         if index >= _STILLS:
             assert whole.albedo is not None
             frame = uneven_frame(frame, reference, whole.albedo, rng)
-        example = _example([frame], reference, spec, strips)
+        wanted = reference
+        if index < _STILLS and rng.random() < _WIDE:
+            deviation = rng.uniform(*DEVIATIONS)
+            frame = frame_through_film(frame, deviation)
+            wanted = through_film(reference, deviation)
+        example = _example([frame], wanted, spec, strips)
         examples.append(replace(example, spp=samples, kind=STILL))
     for frame, samples in _quiets(blocks, reference, rng):
         examples.append(_quiet_example(frame, samples, reference, spec, strips, rng))

@@ -107,10 +107,15 @@ def _surface(folder: Path, bsdf: Any) -> Material:
     ):  # fmt: skip
         _take(made, folder, bsdf, role, socket)
     if (relief := _map(folder, bsdf, "normalmap")) is not None:
-        # those for mirrored coordinates are turned for Mitsuba, which does not look at that itself
-        relief = relief.with_name(relief.name.replace("_mirrored", ""))
-        image = _image(made, relief, raw=True)
-        bent = made.node("NormalMap", Color=image.outputs["Color"])
+        color = _image(made, relief, raw=True).outputs["Color"]
+        if "_mirrored" in relief.name:
+            # turned for Mitsuba, which does not see mirrored coordinates itself; Blender does
+            turned = made.node("VectorMath")
+            turned.operation = "MULTIPLY_ADD"
+            made.links.new(color, turned.inputs[0])
+            turned.inputs[1].default_value, turned.inputs[2].default_value = (1, -1, 1), (0, 1, 0)
+            color = turned.outputs[0]
+        bent = made.node("NormalMap", Color=color)
         made.vary("Normal", bent.outputs["Normal"])
     return made
 

@@ -1,0 +1,63 @@
+"""Frames as a wider pixel filter would have made them.
+
+Renderers whose samples count in one pixel alone (a box filter; Cycles, which draws them by its
+filter) give every pixel noise of its own. Where a sample counts in all pixels that its filter
+reaches, as by Mitsuba's and pbrt's Gaussian, there is less noise, which is alike in neighbours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import erf, sqrt
+
+import cv2
+import numpy as np
+
+from stillray.frame import Frame
+
+DEVIATIONS = (0.3, 0.6)  # pixels; Mitsuba's Gaussian has 0.5 unless told otherwise
+_REACH = 2  # pixels to each side, beyond which less than a thousandth of a sample would count
+
+
+def film_weights(deviation: float) -> np.ndarray:
+    """What a sample anywhere in a pixel gives to that pixel's row of neighbours, ``(5,)`` float32.
+
+    Parameters
+    ----------
+    deviation
+        Of a Gaussian pixel filter, in pixels, above 0.
+    """
+    edges = np.arange(-_REACH, _REACH + 2) - 0.5
+    below = np.array([0.5 * (1 + erf(edge / (deviation * sqrt(2)))) for edge in edges])
+    weights = np.diff(below)
+    return (weights / weights.sum()).astype(np.float32)
+
+
+def through_film(image: np.ndarray, deviation: float) -> np.ndarray:
+    """An image ``(h, w, channels)`` of a box filter as one of a Gaussian, float32.
+
+    Parameters
+    ----------
+    image
+        Finite.
+    deviation
+        Of the filter, in pixels, above 0.
+    """
+    weights = film_weights(deviation)
+    image = np.ascontiguousarray(image, np.float32)
+    return cv2.sepFilter2D(image, -1, weights, weights, borderType=cv2.BORDER_REPLICATE)
+
+
+def frame_through_film(frame: Frame, deviation: float) -> Frame:
+    """A frame whose color, albedo and normals went through a wider filter.
+
+    Depth and motion are a pixel's own in most renderers and stay.
+    """
+    assert frame.albedo is not None
+    assert frame.normal is not None
+    return replace(
+        frame,
+        color=through_film(np.nan_to_num(frame.color), deviation),
+        albedo=through_film(frame.albedo, deviation),
+        normal=through_film(frame.normal, deviation),
+    )
