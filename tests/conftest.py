@@ -27,7 +27,7 @@ ODD_SIZES = [(1, 1), (3, 5), (33, 18), (64, 97)]
 
 @pytest.fixture
 def spec() -> ModelSpec:
-    return load("wskp-3")
+    return load("wskp-3s")
 
 
 @pytest.fixture

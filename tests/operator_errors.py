@@ -30,7 +30,7 @@ from stillray.stages.state import Filterable
 from tests import oracles
 
 Inputs = dict[str, np.ndarray]
-SPEC = load("wskp-3")
+SPEC = load("wskp-3s")
 _STRIPS = Strips(1)
 _MAX = repair.MAX_RADIANCE
 

@@ -21,7 +21,7 @@ from tests.batch.dask_processes import dask_processes, wait_for
 from tests.batch.test_resume import write_frame
 
 FRAMES = 16
-FAST = ("denoise", "shot.##.exr", "-m", "wskp-3")
+FAST = ("denoise", "shot.##.exr", "-m", "wskp-3s")
 
 
 @pytest.fixture
@@ -82,9 +82,9 @@ def test_split_makes_paths_that_hold_in_other_folders(tmp_path, monkeypatch):
 
 
 def work_of(**changes):
-    digest = file_digest(find_model("wskp-3").path)
-    recipe = Recipe(**{"model": "wskp-3", "model_digest": digest} | changes)
-    return ShotSettings(model="wskp-3", recipe=recipe, layout=Layout(), memory=3)
+    digest = file_digest(find_model("wskp-3s").path)
+    recipe = Recipe(**{"model": "wskp-3s", "model_digest": digest} | changes)
+    return ShotSettings(model="wskp-3s", recipe=recipe, layout=Layout(), memory=3)
 
 
 def test_chunk_keeps_what_is_finished_and_tells_what_it_did_before_it_failed(shot):

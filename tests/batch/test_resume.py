@@ -90,7 +90,7 @@ def test_changed_input_matters_no_longer_than_history_is_said_to_last(shot, caps
     assert written(run(capsys, *COMMAND, "--resume", "--warm-up", "2")) == [4, 5, 6]
 
 
-@pytest.mark.parametrize("change", [("--no-cuts",), ("--no-temporal",), ("-m", "wskp-3")])
+@pytest.mark.parametrize("change", [("--no-cuts",), ("--no-temporal",), ("-m", "wskp-3s")])
 def test_changed_option_renders_all_anew(shot, capsys, change):
     run(capsys, *COMMAND)
     assert len(written(run(capsys, *COMMAND, *change, "--resume"))) == FRAMES

@@ -271,7 +271,7 @@ def test_info_of_a_file_that_is_refused_still_shows_its_channels(shot, capsys):
 
 
 def test_denoise_makes_a_folder_that_is_named_with_a_slash(shot, capsys):
-    arguments = ["denoise", "shot.0001.exr", "-m", "wskp-3", "-o"]
+    arguments = ["denoise", "shot.0001.exr", "-m", "wskp-3s", "-o"]
     assert "as new/, is made" in fails(capsys, *arguments, "new/clean.exr")
     assert main([*arguments, "deep/new/", "--dry-run"]) == 0
     assert not (shot / "deep").exists()
@@ -288,7 +288,7 @@ def test_denoise_says_what_of_the_structure_it_cannot_keep(shot, capsys):
     assert sink.open("f.exr", spec)
     assert sink.write_image(np.zeros((HEIGHT, WIDTH, 4), np.float32))
     assert sink.close()
-    assert main(["denoise", "f.exr", "-m", "wskp-3", "-o", "clean.exr"]) == 0
+    assert main(["denoise", "f.exr", "-m", "wskp-3s", "-o", "clean.exr"]) == 0
     assert "note: compression dwaa becomes zip" in capsys.readouterr().out
     assert read_metadata("clean.exr").getattribute("compression") == "zip"
 

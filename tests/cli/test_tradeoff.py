@@ -83,7 +83,7 @@ def test_advice_is_a_sentence_to_act_on():
 
 
 def test_fewer_kernels_are_the_first_ones(rng):
-    info = find_model("wskp-3")
+    info = find_model("wskp-3s")
     frame = make_frame(33, 18)
     with (
         Denoiser(with_overrides(info, kernels=1)) as one,
@@ -104,7 +104,7 @@ def test_fewer_kernels_are_the_first_ones(rng):
 
 
 def test_a_short_history_forgets():
-    info = find_model("wskp-3")
+    info = find_model("wskp-3s")
     for samples in (1, 16):
         with Denoiser(with_overrides(info, max_samples=samples)) as denoiser:
             for index in range(8):
@@ -116,12 +116,12 @@ def test_a_short_history_forgets():
 
 
 def test_settings_that_a_model_does_not_have_are_refused():
-    with pytest.raises(InputError, match="kernels must be 1 to the 6 that wskp-3 fuses, got 7"):
-        with_overrides(find_model("wskp-3"), kernels=7)
+    with pytest.raises(InputError, match="kernels must be 1 to the 6 that wskp-3s fuses, got 7"):
+        with_overrides(find_model("wskp-3s"), kernels=7)
     with pytest.raises(InputError, match="kernels must be 1 to the 0 that kpyr-5 fuses, got 1"):
         with_overrides(find_model("high"), kernels=1)
     with pytest.raises(InputError, match=r"max_samples must be 1 or more, got 0\.5"):
-        with_overrides(find_model("wskp-3"), max_samples=0.5)
+        with_overrides(find_model("wskp-3s"), max_samples=0.5)
 
 
 def _distribution(folder: Path, entry_points: dict[str, str]) -> Path:
@@ -165,22 +165,22 @@ def folder(tmp_path_factory):
 def test_models_options_and_peers_are_scored_and_timed(folder, tmp_path, capsys):
     pytest.importorskip("matplotlib")
     plot = tmp_path / "t.png"
-    options = ["tradeoff", str(folder), "--model", "wskp-3", "--peer", "svgf"]
+    options = ["tradeoff", str(folder), "--model", "wskp-3s", "--peer", "svgf"]
     assert cli.main([*options, "--json", "--plot", str(plot)]) == 0
     facts = json.loads(capsys.readouterr().out)
     methods = {method["label"]: method for method in facts["methods"]}
     assert {
-        "wskp-3", "wskp-3, one frame", "wskp-3, 2 of 6 kernels", "wskp-3, 4 of 6 kernels",
-        "wskp-3, history of 4", "wskp-3, history of 64", "SVGF",
+        "wskp-3s", "wskp-3s, one frame", "wskp-3s, 2 of 6 kernels", "wskp-3s, 4 of 6 kernels",
+        "wskp-3s, history of 4", "wskp-3s, history of 64", "SVGF",
     } <= set(methods)  # fmt: skip
     assert [name for name, method in methods.items() if method["peer"]] == ["SVGF"]
     frames = [read_exr(path) for path in sorted((folder / "room").glob("frame_*.exr"))]
     reference = read_exr(folder / "room" / "ref_0007.exr").color
-    with Denoiser("wskp-3") as denoiser:
+    with Denoiser("wskp-3s") as denoiser:
         image = [denoiser.denoise(frame) for frame in frames][-1]
     expected = metrics.evaluate([image], [reference], names=["psnr"])["psnr"]
-    assert methods["wskp-3"]["scores"]["psnr"] == pytest.approx(expected, abs=1e-4)
-    assert methods["wskp-3, one frame"]["scores"]["psnr"] < expected
+    assert methods["wskp-3s"]["scores"]["psnr"] == pytest.approx(expected, abs=1e-4)
+    assert methods["wskp-3s, one frame"]["scores"]["psnr"] < expected
     assert facts["noisy"]["psnr"] < expected - 5
     assert min(method["milliseconds"] for method in methods.values()) > 0
     assert set(facts["fronts"]["psnr"]) <= set(methods)
@@ -189,7 +189,7 @@ def test_models_options_and_peers_are_scored_and_timed(folder, tmp_path, capsys)
 
 @pytest.mark.usefixtures("offered")
 def test_the_table_ends_with_advice_for_every_metric(folder, capsys):
-    assert cli.main(["tradeoff", str(folder), "--model", "wskp-3", "--no-peers"]) == 0
+    assert cli.main(["tradeoff", str(folder), "--model", "wskp-3s", "--no-peers"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert any(line.startswith("noisy") for line in lines)
     assert any(line.startswith("PSNR: for ") and " ms use " in line for line in lines)
@@ -198,10 +198,10 @@ def test_the_table_ends_with_advice_for_every_metric(folder, capsys):
 
 def test_threads_change_no_picture_and_are_scored_once(monkeypatch):
     monkeypatch.setattr(tradeoff, "available_threads", lambda: 2)
-    options = {option.label: option for option in tradeoff.model_options("wskp-3")}
-    assert options["wskp-3, 1 thread"].same_picture_as == "wskp-3"
+    options = {option.label: option for option in tradeoff.model_options("wskp-3s")}
+    assert options["wskp-3s, 1 thread"].same_picture_as == "wskp-3s"
     monkeypatch.setattr(tradeoff, "available_threads", lambda: 1)
-    assert "wskp-3, 1 thread" not in {o.label for o in tradeoff.model_options("wskp-3")}
+    assert "wskp-3s, 1 thread" not in {o.label for o in tradeoff.model_options("wskp-3s")}
 
 
 @pytest.mark.usefixtures("not_offered")
@@ -213,5 +213,5 @@ def test_without_the_evaluation_one_line_says_what_to_install(tmp_path, capsys):
 
 @pytest.mark.usefixtures("offered")
 def test_a_folder_without_references_is_refused(tmp_path, capsys):
-    assert cli.main(["tradeoff", str(tmp_path), "--model", "wskp-3", "--no-peers"]) == 2
+    assert cli.main(["tradeoff", str(tmp_path), "--model", "wskp-3s", "--no-peers"]) == 2
     assert "folder must hold sequences with references" in capsys.readouterr().err

@@ -19,7 +19,7 @@ from stillray_training.networks.fuse import fuse  # noqa: E402
 #: What models are made smaller by: graphs are exported one operator at a time, and a level of a
 #: pyramid takes seconds. All kinds of planes stay; the files of whole models are compared below.
 SMALLER = {
-    "wskp-3": ({}, {"kernel_sizes": (3, 5)}),
+    "wskp-3s": ({}, {"kernel_sizes": (3, 5)}),
     "kpyr-5": (
         {
             "widths": (8, 12),

@@ -13,7 +13,7 @@ from stillray.model_spec import load
 from tests import oracles
 from tests.conftest import ODD_SIZES
 
-DECODER = load("wskp-3").decoder
+DECODER = load("wskp-3s").decoder
 # float32 sums of 169 positive products, six kernels: a few hundred roundings of 6e-8
 ROUNDING = 2e-5
 
@@ -51,7 +51,7 @@ def test_filter_without_sample_weights_equals_the_loop_oracle():
 def test_strips_with_halo_equal_the_whole_image():
     irradiance, samples, logits = _random((61, 23), 3)
     whole = _whole(irradiance, samples, logits)
-    halo = FusedKernelsModel(load("wskp-3")).looks.reach
+    halo = FusedKernelsModel(load("wskp-3s")).looks.reach
     for top in range(0, 61, 16):
         low, high = max(top - halo, 0), min(top + 16 + halo, 61)
         inner = slice(top - low, min(top + 16, 61) - low)

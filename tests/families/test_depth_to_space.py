@@ -47,7 +47,7 @@ def _some(data, count):
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (70, 33)])
 @pytest.mark.parametrize("fill", [None, np.nan])
 def test_kernels_from_blocks_equal_the_loop_oracle(size, fill):
-    spec = load("wskp-3")
+    spec = load("wskp-3s")
     rng = np.random.default_rng(1)
     logits = rng.normal(size=(12, *size)).astype(np.float32)
     if fill is not None:

@@ -164,7 +164,7 @@ def test_both_eyes_are_denoised_one_after_the_other(stereo):
 def test_the_command_denoises_the_view_that_is_named(stereo):
     output = stereo.with_name("o.exr")
     before = read_picture(stereo, layers={"view": "right"})
-    arguments = ["denoise", str(stereo), "-m", "wskp-3", "-o", str(output), "--view"]
+    arguments = ["denoise", str(stereo), "-m", "wskp-3s", "-o", str(output), "--view"]
     assert main([*arguments, "left"]) == 0
     np.testing.assert_array_equal(read_picture(output, layers={"view": "right"}), before)
     kept = output.stat().st_mtime_ns

@@ -35,7 +35,7 @@ EXTREMES: tuple[Any, ...] = (
 Bend = Callable[[onnx.ModelProto], None]
 
 
-def whole(name: str = "wskp-3") -> onnx.ModelProto:
+def whole(name: str = "wskp-3s") -> onnx.ModelProto:
     """A model as it comes with stillray."""
     return onnx.load(str(MODELS / f"{name}.onnx"))
 
@@ -359,7 +359,7 @@ def attempt(path: Path) -> bool:
 def main() -> None:
     """Bend models one after the other, and try each."""
     seed, count, folder = int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3])
-    names = ("wskp-3", "nbg-2x1", "kpyr-5s")
+    names = ("wskp-3s", "nbg-2x1", "kpyr-5s")
     path, ran = folder / "bent.onnx", 0
     for number in range(count):
         path.write_bytes(bend(names[number % len(names)], np.random.default_rng((seed, number))))

@@ -16,13 +16,14 @@ _OPTIONAL = {
 
 @pytest.fixture
 def data():
-    return json.loads(load("wskp-3").to_json())
+    return json.loads(load("wskp-3s").to_json())
 
 
 @pytest.mark.parametrize(
     "name",
     [
         "wskp-3",
+        "wskp-3s",
         "wskp-6",
         "wskp-mr",
         "kpyr-5",
@@ -105,7 +106,7 @@ def test_a_pyramid_names_the_list_that_is_too_short():
 def test_unknown_model_lists_those_there_are():
     with pytest.raises(
         SpecError,
-        match=r"kpyr-5, kpyr-5s, munet-x1, munet-x2, nbg-2x1, .*, online, wskp-3, .*, got",
+        match=r"kpyr-5, kpyr-5s, munet-x1, munet-x2, nbg-2x1, .*, online, wskp-3, wskp-3s, .*, got",
     ):
         load("wskp-7")
 
@@ -132,7 +133,7 @@ def test_an_upscaler_s_rules(table, key, value, message):
 
 def test_specs_are_frozen():
     with pytest.raises(dataclasses.FrozenInstanceError):
-        load("wskp-3").name = "x"
+        load("wskp-3s").name = "x"
 
 
 def test_a_multi_resolution_model_does_not_work_on_blocks():

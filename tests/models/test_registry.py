@@ -34,9 +34,9 @@ def test_qualities_are_the_aliases_that_the_files_and_the_specifications_hold():
 
 
 def test_differences_are_the_file_s_own_or_those_of_the_same_specification():
-    model = find_model("wskp-3")
+    model = find_model("wskp-3s")
     spec = replace(model.spec, differs=())
-    assert differences(replace(model, spec=spec)) == load("wskp-3").differs != ()
+    assert differences(replace(model, spec=spec)) == load("wskp-3s").differs != ()
     own = ("the paper says one thing; here is another",)
     assert differences(replace(model, spec=replace(spec, differs=own))) == own
     # of the same name, and another model

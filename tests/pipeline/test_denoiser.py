@@ -20,7 +20,7 @@ from stillray.frame import Frame
 from stillray.profiling.synthetic import swing
 from tests.conftest import ODD_SIZES, clean_color, make_frame, remembered
 
-MODELS = ["wskp-3", "wskp-6", "kpyr-5", "kpyr-5s", "nbg-2x3", "wskp-mr"]
+MODELS = ["wskp-3s", "wskp-6", "kpyr-5", "kpyr-5s", "nbg-2x3", "wskp-mr"]
 # float32 sums of 169 products, six kernels, and one division and multiplication by albedo
 ROUNDING = 1e-4
 
@@ -251,7 +251,7 @@ def test_a_box_that_moved_away_leaves_no_ghost(denoiser):
 def test_threads_do_not_change_the_picture():
     images = []
     for threads in (1, 2, 5):
-        with stillray.Denoiser("wskp-3", threads=threads) as denoiser:
+        with stillray.Denoiser("wskp-3s", threads=threads) as denoiser:
             images.append(
                 [denoiser.denoise(make_frame(300, 401, seed, shift=1.3)) for seed in range(2)]
             )
@@ -355,7 +355,7 @@ def test_a_wrong_buffer_is_named_with_its_rule_and_value(arguments, message):
 
 
 def test_an_unknown_model_lists_those_there_are():
-    names = "kpyr-5, kpyr-5s, nbg-2x1, nbg-2x3, nbg-7x3, wskp-3, wskp-6, wskp-mr"
+    names = "kpyr-5, kpyr-5s, nbg-2x1, nbg-2x3, nbg-7x3, wskp-3, wskp-3s, wskp-6, wskp-mr"
     with pytest.raises(stillray.InputError, match=rf"one of {names}, .*fast.*got best"):
         stillray.Denoiser("best")
 
@@ -400,7 +400,7 @@ def test_the_command_line_loads_no_evaluation_until_it_is_asked_for():
     assert done.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("model", ["wskp-3", "kpyr-5", "kpyr-5s"])
+@pytest.mark.parametrize("model", ["wskp-3s", "kpyr-5", "kpyr-5s"])
 def test_a_warm_frame_takes_no_new_memory_but_for_its_picture(model):
     frames = swing(540, 960)  # strips are much smaller
     with stillray.Denoiser(model, threads=1) as denoiser:

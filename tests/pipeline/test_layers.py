@@ -12,7 +12,7 @@ from stillray.io.exr.read_write import read_channels, read_exr, write_channels
 from tests.conftest import make_frame
 
 HEIGHT, WIDTH = 45, 38
-MODELS = ["wskp-3", "kpyr-5s", "kpyr-5", "wskp-mr"]
+MODELS = ["wskp-3s", "kpyr-5s", "kpyr-5", "wskp-mr"]
 
 
 def split(color, seed=0):

@@ -98,7 +98,7 @@ TOLERANCE = 1e-5
 
 
 @pytest.mark.parametrize(
-    ("model", "size", "short"), [("wskp-3", 64, 3), ("wskp-6", 64, 3), ("wskp-mr", 128, 8)]
+    ("model", "size", "short"), [("wskp-3s", 64, 3), ("wskp-6", 64, 3), ("wskp-mr", 128, 8)]
 )
 def test_tiles_are_the_whole_frame_but_for_rounding(in_tiles, model, size, short):
     in_tiles(size)
@@ -121,11 +121,11 @@ def test_exposure_is_that_of_the_frame_not_of_the_tile(in_tiles):
     in_tiles(64)
     frame = make_frame(97, 150)
     frame.color[:, :75] *= 1000  # tiles of their own would be exposed quite differently
-    assert max(differences("wskp-3", [frame])) < TOLERANCE
+    assert max(differences("wskp-3s", [frame])) < TOLERANCE
 
 
 def test_broken_pixels_are_repaired_across_tiles(in_tiles):
     in_tiles(64)
     frame = make_frame(97, 150)
     frame.color[30:70, 40:80] = np.nan
-    assert max(differences("wskp-3", [frame])) < TOLERANCE
+    assert max(differences("wskp-3s", [frame])) < TOLERANCE

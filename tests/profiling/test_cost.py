@@ -18,7 +18,7 @@ from stillray.profiling.synthetic import swing  # noqa: E402
 def test_a_chain_of_convolutions_is_counted_by_hand():
     # 6x6 pixels make a square of 2x2, 3x3 of those the next, and twelve logits a pixel in the end
     products = 6 * 6 * 8 * 32 + 3 * 3 * (32 * 32 + 32 * 4 * 12)
-    assert network_cost(find_model("wskp-3").path, 34, 18).operations == 2 * products * 17 * 9
+    assert network_cost(find_model("wskp-3s").path, 34, 18).operations == 2 * products * 17 * 9
 
 
 def test_strided_and_coarse_convolutions_count_at_their_own_size(tmp_path):
@@ -85,7 +85,7 @@ def test_every_stage_that_runs_has_work_and_less_buffers_are_less_of_it(model):
 
 def test_reconstruction_counts_kernels_and_not_their_sizes():
     def operations(*sizes):
-        info = find_model("wskp-3")
+        info = find_model("wskp-3s")
         changed = dataclasses.replace(info, spec=with_kernels(info.spec, sizes))
         return stage_costs(changed, swing(16, 24)[0])["reconstruct"].operations
 

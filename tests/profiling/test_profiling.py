@@ -228,7 +228,7 @@ def test_profile_reports_every_stage_as_json(capsys):
     options = [
         "profile",
         "--model",
-        "wskp-3",
+        "wskp-3s",
         "--size",
         "64x36",
         "--threads",
@@ -239,7 +239,7 @@ def test_profile_reports_every_stage_as_json(capsys):
     assert cli.main([*options, "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     (run,) = facts["runs"]
-    assert (run["model"], run["height"], run["width"], run["threads"]) == ("wskp-3", 36, 64, 1)
+    assert (run["model"], run["height"], run["width"], run["threads"]) == ("wskp-3s", 36, 64, 1)
     assert run["buffers"] == ["albedo", "color", "depth", "motion", "normal"]
     assert run["memory_mib"]["peak"] > run["memory_mib"]["net"] > 0
     network = run["stages"]["network"]
@@ -253,11 +253,11 @@ def test_profile_reports_every_stage_as_json(capsys):
 
 @pytest.mark.usefixtures("known_peaks")
 def test_profile_reports_every_stage_as_a_table(capsys):
-    (run,) = profiled(capsys, "--model", "wskp-3")["runs"]
-    options = ["--model", "wskp-3", "--size", "64x36", "--threads", "1", "--seconds", "0"]
+    (run,) = profiled(capsys, "--model", "wskp-3s")["runs"]
+    options = ["--model", "wskp-3s", "--size", "64x36", "--threads", "1", "--seconds", "0"]
     assert cli.main(["profile", *options, "--no-memory"]) == 0
     table = capsys.readouterr().out
-    assert "wskp-3, 64 x 36, 1 thread" in table
+    assert "wskp-3s, 64 x 36, 1 thread" in table
     for stage in run["stages"]:
         assert stage in table
 
@@ -266,12 +266,12 @@ def test_profile_reports_every_stage_as_a_table(capsys):
 def test_models_of_the_qualities_are_profiled_unless_others_are_asked_for(capsys):
     names = {
         chosen: [row["model"] for row in profiled(capsys, *options)["runs"]]
-        for chosen, options in (("", ()), ("all", ("-m", "all")), ("one", ("-m", "wskp-3")))
+        for chosen, options in (("", ()), ("all", ("-m", "all")), ("one", ("-m", "wskp-3s")))
     }
     qualities = {find_model(quality).name for quality in ("fast", "balanced", "high")}
     assert set(names[""]) == qualities
     assert set(names["all"]) == {info.name for info in stillray.list_models()}
-    assert names["one"] == ["wskp-3"]
+    assert names["one"] == ["wskp-3s"]
 
 
 def profiled(capsys, *options):
@@ -285,7 +285,7 @@ def profiled(capsys, *options):
 def test_a_user_s_own_file_is_profiled_at_its_size(tmp_path, capsys):
     frame = swing(*SIZE)[0]
     write_frame(tmp_path / "a.exr", stillray.Frame(color=frame.color))
-    options = ["--model", "wskp-3", "--seconds", "0", "--no-memory", "--json"]
+    options = ["--model", "wskp-3s", "--seconds", "0", "--no-memory", "--json"]
     assert cli.main(["profile", str(tmp_path / "a.exr"), *options]) == 0
     (run,) = json.loads(capsys.readouterr().out)["runs"]
     assert (run["height"], run["width"]) == SIZE

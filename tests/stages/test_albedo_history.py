@@ -14,7 +14,7 @@ from stillray.stages.reproject import positions_of
 from tests import oracles
 from tests.conftest import remembered
 
-OPTIONS = load("wskp-3").temporal
+OPTIONS = load("wskp-3s").temporal
 
 
 def accumulate(albedo, past, positions=None, threads=1, samples=OPTIONS.albedo_samples):
@@ -95,7 +95,7 @@ def test_an_albedo_that_stays_is_what_it_was(rng):
 
 def test_each_of_the_first_frames_counts_alike():
     # an albedo that is 0.2 in the first frame and 0.8 in all others, in reach of one another
-    spec = load("wskp-3")
+    spec = load("wskp-3s")
     motion = np.zeros((9, 14, 2), np.float32)
     stripes = np.where(np.arange(14) % 2, 0.2, 0.8)[None, :, None]
     frames = [np.broadcast_to(one, (9, 14, 3)) for one in (stripes, stripes[:, ::-1])]
@@ -120,14 +120,14 @@ def covered(slope, shift):
 
 def test_stairs_of_an_edge_are_smoothed_by_jittered_frames():
     # the light is the same everywhere: all that a picture shows is the albedo
-    spec = load("wskp-3")
+    spec = load("wskp-3s")
     assert spec.temporal.albedo_samples > 0
     shifts = [((i * 0.618 + 0.3) % 1, (i * 0.414 + 0.7) % 1) for i in range(9)]
     fine = [(a / 16, b / 16) for a in range(16) for b in range(16)]
     wanted = np.mean([covered(0.4, shift) for shift in fine], axis=0)
     alone = covered(0.4, shifts[-1])
     depth = np.full(wanted.shape, 2, np.float32)
-    with stillray.Denoiser("wskp-3") as denoiser:
+    with stillray.Denoiser("wskp-3s") as denoiser:
         for shift in shifts:
             albedo = np.repeat(covered(0.4, shift)[..., None], 3, 2).astype(np.float32)
             motion = np.zeros((*wanted.shape, 2), np.float32)
@@ -147,7 +147,7 @@ def test_without_motion_or_albedo_or_a_past_it_is_not_run(rng):
         (True, dataclasses.replace(whole, motion=None), False),
         (True, dataclasses.replace(whole, albedo=None), False),
     ):
-        with stillray.Denoiser("wskp-3", temporal=temporal) as denoiser:
+        with stillray.Denoiser("wskp-3s", temporal=temporal) as denoiser:
             denoiser.denoise(frame)
             assert "accumulate_albedo" not in denoiser.last_timings
             planned = {stage.name: stage.runs for stage in denoiser.stages(frame)}
@@ -162,7 +162,7 @@ def test_without_motion_or_albedo_or_a_past_it_is_not_run(rng):
 def test_after_a_frame_without_albedo_it_begins_anew(rng):
     albedo = rng.random((9, 14, 3)).astype(np.float32)
     frame = Frame(color=albedo, albedo=albedo, motion=np.zeros((9, 14, 2), np.float32))
-    with stillray.Denoiser("wskp-3") as denoiser:
+    with stillray.Denoiser("wskp-3s") as denoiser:
         denoiser.denoise(dataclasses.replace(frame, albedo=None))
         for runs in (False, True):
             planned = {stage.name: stage.runs for stage in denoiser.stages(frame)}

@@ -17,7 +17,7 @@ from stillray.stages.prepare import prepare
 from tests.conftest import make_frame, remembered
 
 SIZE = (150, 210)
-SPEC = load("wskp-3")
+SPEC = load("wskp-3s")
 
 
 def scene(rng):

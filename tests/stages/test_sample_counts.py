@@ -208,7 +208,7 @@ def test_the_network_is_told_the_samples_that_a_pixel_holds(model, samples, told
     np.testing.assert_allclose(plane, expected, rtol=1e-5)
 
 
-@pytest.mark.parametrize("model", ["wskp-3", "nbg-7x3"])
+@pytest.mark.parametrize("model", ["wskp-3s", "nbg-7x3"])
 def test_a_network_that_has_not_learned_with_samples_is_not_told(model):
     frame = make_frame(64, 96)
     assert not find_model(model).spec.knows_samples

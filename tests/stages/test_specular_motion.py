@@ -171,7 +171,7 @@ def test_a_stream_accumulates_what_the_mirror_shows(monkeypatch):
 
     def stream():
         """How far what was accumulated is from what the mirror shows now, and the stages."""
-        with stillray.Denoiser("wskp-3") as denoiser:
+        with stillray.Denoiser("wskp-3s") as denoiser:
             denoiser.denoise(frame(past[..., 0], None))
             second = frame(now, motion_of(depth))
             planned = {stage.name: stage.runs for stage in denoiser.stages(second)}

@@ -10,7 +10,7 @@ from stillray_training.decoders import boxes  # noqa: E402
 from stillray_training.decoders.fused_kernels import fused_kernels  # noqa: E402
 from tests import oracles  # noqa: E402
 
-DECODER = load("wskp-3").decoder
+DECODER = load("wskp-3s").decoder
 
 
 @pytest.mark.parametrize("size", [1, 3, 5, 7, 9, 11, 13])

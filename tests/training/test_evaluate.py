@@ -86,7 +86,7 @@ def stills(tmp_path_factory):
 
 
 def run_all(folder, **options):
-    given = {"model": ["wskp-3"], "peer": ["svgf"], "peers": True, "metrics": FAST}
+    given = {"model": ["wskp-3s"], "peer": ["svgf"], "peers": True, "metrics": FAST}
     out = folder / "scores.json"
     evaluate.main([str(folder)], **{**given, **options, "out": out})
     return json.loads(out.read_text())
@@ -98,10 +98,10 @@ def run(folder, **options):
 
 def test_peers_and_models_are_scored_on_every_scene(folder, capsys):
     found = run(folder, peer=["svgf", "bmfr"])
-    rows = {"noisy", "accumulated", "wskp-3", "wskp-3, one frame", "SVGF", "BMFR"}
+    rows = {"noisy", "accumulated", "wskp-3s", "wskp-3s, one frame", "SVGF", "BMFR"}
     assert set(found) == rows
     assert all(set(row) == {"one", "two"} for row in found.values())
-    for method in ("wskp-3", "SVGF", "BMFR"):
+    for method in ("wskp-3s", "SVGF", "BMFR"):
         assert found[method]["two"]["psnr"] > found["noisy"]["two"]["psnr"] + 5
     table = capsys.readouterr().out
     assert "| SVGF | " in table
@@ -113,21 +113,21 @@ def test_stills_are_measured_at_every_count_fewest_samples_first(stills):
     four, sixteen = (results[title]["noisy"]["one"]["psnr"] for title in results)
     assert sixteen > four + 20
     # what remembers frames has nothing to remember
-    assert set(results["stills, 4 samples a pixel"]) == {"noisy", "wskp-3"}
+    assert set(results["stills, 4 samples a pixel"]) == {"noisy", "wskp-3s"}
     assert list(run_all(stills, only="stills", stills="16")) == ["stills, 16 samples a pixel"]
 
 
 def test_fed_the_reference_a_model_sees_no_noise(stills):
     rows = run_all(stills, only="fed,stills")
-    assert set(rows["fed the references"]) == {"wskp-3"}
-    fed = rows["fed the references"]["wskp-3"]["one"]["psnr"]
-    assert fed > rows["stills, 4 samples a pixel"]["wskp-3"]["one"]["psnr"]
+    assert set(rows["fed the references"]) == {"wskp-3s"}
+    fed = rows["fed the references"]["wskp-3s"]["one"]["psnr"]
+    assert fed > rows["stills, 4 samples a pixel"]["wskp-3s"]["one"]["psnr"]
 
 
 def test_a_sequence_with_all_references_is_measured_frame_by_frame(tmp_path):
     write_sequence(tmp_path / "shadow", 4, [0, 1, 2, 3])
     rows = run_all(tmp_path)["shadow"]
-    assert set(rows) == {"noisy", "wskp-3", "wskp-3, one frame", "SVGF"}
+    assert set(rows) == {"noisy", "wskp-3s", "wskp-3s, one frame", "SVGF"}
     assert list(rows["noisy"]) == [f"frame {index}" for index in range(4)]
     truth = clean_color(*SIZE).astype(np.float32)
     for index in range(4):
@@ -136,7 +136,7 @@ def test_a_sequence_with_all_references_is_measured_frame_by_frame(tmp_path):
         ]
         # files hold half precision
         assert rows["noisy"][f"frame {index}"]["psnr"] == pytest.approx(expected, abs=2e-3)
-    alone, past = rows["wskp-3, one frame"], rows["wskp-3"]
+    alone, past = rows["wskp-3s, one frame"], rows["wskp-3s"]
     assert alone["frame 0"] == past["frame 0"]
     assert past["frame 3"]["psnr"] > alone["frame 3"]["psnr"]
     assert "flicker" in past["frame 1"]
@@ -145,11 +145,11 @@ def test_a_sequence_with_all_references_is_measured_frame_by_frame(tmp_path):
 
 def test_a_picture_worse_than_its_input_is_listed(stills, capsys):
     rows = run_all(stills, only="stills")["stills, 16 samples a pixel"]
-    assert rows["wskp-3"]["one"]["psnr"] < rows["noisy"]["one"]["psnr"]
+    assert rows["wskp-3s"]["one"]["psnr"] < rows["noisy"]["one"]["psnr"]
     listed = capsys.readouterr().out.split("## Worse than the input")[1]
     (line,) = (line for line in listed.splitlines() if "16 samples a pixel" in line)
-    assert line.startswith("| stills, 16 samples a pixel | one | wskp-3 | psnr ")
-    assert "4 samples a pixel | one | wskp-3 | psnr" not in listed.replace("16", "")
+    assert line.startswith("| stills, 16 samples a pixel | one | wskp-3s | psnr ")
+    assert "4 samples a pixel | one | wskp-3s | psnr" not in listed.replace("16", "")
 
 
 def test_a_bias_counts_as_worse_only_beyond_a_percent():
@@ -166,14 +166,14 @@ def test_peers_are_taken_from_a_former_run(stills):
     changed = json.loads((stills / "scores.json").read_text())
     for values in changed.values():
         values["OIDN fast"]["one"]["psnr"] = 12.5
-        values["wskp-3"]["one"]["psnr"] = 1.5
+        values["wskp-3s"]["one"]["psnr"] = 1.5
     former.write_text(json.dumps(changed))
     second = run_all(stills, only="stills", peers=False, peers_from=former, metrics="psnr,smape")
     for title, rows in second.items():
         assert rows["OIDN fast"]["one"]["psnr"] == 12.5
         assert set(rows["OIDN fast"]["one"]) == {"psnr", "smape"}
         # models are never taken over
-        assert rows["wskp-3"]["one"]["psnr"] == first[title]["wskp-3"]["one"]["psnr"]
+        assert rows["wskp-3s"]["one"]["psnr"] == first[title]["wskp-3s"]["one"]["psnr"]
 
 
 def test_several_folders_have_sets_of_their_own(folder, stills, tmp_path):

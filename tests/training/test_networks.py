@@ -40,7 +40,7 @@ def test_block_s_gradients_equal_those_of_its_branches():
         torch.testing.assert_close(one, other)
 
 
-@pytest.mark.parametrize("name", ["wskp-3", "wskp-6", "kpyr-5", "kpyr-5s", "nbg-7x3", "wskp-mr"])
+@pytest.mark.parametrize("name", ["wskp-3s", "wskp-6", "kpyr-5", "kpyr-5s", "nbg-7x3", "wskp-mr"])
 def test_fused_network_equals_the_trained_one_which_stays_as_it_was(name):
     torch.manual_seed(0)
     spec = load(name)
@@ -57,7 +57,7 @@ def test_fused_network_equals_the_trained_one_which_stays_as_it_was(name):
 
 
 def test_fused_networks_differ_in_depth_and_have_one_convolution_a_block():
-    for name, sizes in (("wskp-3", [6, 3, 3]), ("wskp-6", [5] * 6)):
+    for name, sizes in (("wskp-3s", [6, 3, 3]), ("wskp-6", [5] * 6)):
         layers = list(fuse(ImportanceNet(load(name))).modules())
         convolutions = [layer for layer in layers if isinstance(layer, torch.nn.Conv2d)]
         assert [layer.kernel_size for layer in convolutions] == [(size, size) for size in sizes]

@@ -80,7 +80,7 @@ def test_training_and_evaluation_read_them(shot):
     gather_renders(source(samples=4), shot / "data", "show")
     sequences = find_sequences(shot / "data")
     assert [path.name for path in sequences] == ["show-own-0006", "show-own-0014"]
-    spec = load("wskp-3")
+    spec = load("wskp-3s")
     recipe = dataclasses.replace(spec.training, patch=64)
     spec = dataclasses.replace(spec, training=recipe)
     examples = [e for path in sequences for e in load_examples(path, spec, Strips(1))]

@@ -71,12 +71,24 @@ def test_predicting_kernels_takes_169_outputs_and_nearly_three_times_the_weights
     assert 2.5 < weights(peer) / weights(ours) < 3
 
 
-def test_three_layers_are_as_in_the_paper_in_the_study_and_on_squares_where_shipped():
-    study = fuse(STUDY["wskp-3"].family.network(STUDY["wskp-3"].spec))
-    assert convolutions(study) == [(16, FEATURES, 5), (16, 16, 5), (12, 16, 5)]
+def test_wskp_3_is_three_such_blocks_and_as_they_are_in_the_study():
+    # section 4.1 and supplement 1.1: half of the layers, the rest as wskp-6
+    made, study = network("wskp-3"), STUDY["wskp-3"].family.network(STUDY["wskp-3"].spec)
+    assert [sorted(one.kernel_size[0] for one in block.branches()) for block in blocks(made)] == [
+        [1, 3, 5]
+    ] * 3
+    assert [block.identity for block in blocks(made)] == [False, True, False]
+    for fused in (fuse(made), fuse(study)):
+        assert convolutions(fused) == [(16, FEATURES, 5), (16, 16, 5), (12, 16, 5)]
+    six, three = load("wskp-6"), load("wskp-3")
+    alike = ("inputs", "demodulate", "transfer", "temporal", "decoder", "training")
+    assert [getattr(three, part) for part in alike] == [getattr(six, part) for part in alike]
+
+
+def test_wskp_3s_works_on_squares_of_pixels():
     # twelve logits for each of four pixels
-    assert convolutions(fuse(network("wskp-3"))) == [(32, 8, 6), (32, 32, 3), (48, 32, 3)]
-    assert len(blocks(network("wskp-3"))) == 3
+    assert convolutions(fuse(network("wskp-3s"))) == [(32, 8, 6), (32, 32, 3), (48, 32, 3)]
+    assert len(blocks(network("wskp-3s"))) == 3
 
 
 def test_wskp_mr_is_a_u_net_with_a_head_at_each_of_three_resolutions():

@@ -16,7 +16,7 @@ from stillray_training.start import start_from  # noqa: E402
 
 
 @pytest.mark.parametrize(
-    "name", ["kpyr-5", "fast", "wskp-3", "wskp-6", "wskp-mr", "nbg-7x3", "munet-x2"]
+    "name", ["kpyr-5", "fast", "wskp-3s", "wskp-6", "wskp-mr", "nbg-7x3", "munet-x2"]
 )
 def test_training_goes_on_from_what_a_packaged_model_computes(name):
     info = find_model(name)
@@ -80,9 +80,9 @@ def test_a_packaged_model_starts_one_with_more_blocks_and_filters():
 
 
 def test_what_is_no_start_is_refused_by_name(tmp_path):
-    info = find_model("wskp-3")
+    info = find_model("wskp-3s")
     network = FAMILIES[info.family].network(info.spec)
-    with pytest.raises(InputError, match=r"start must be a checkpoint.*got nothing.*wskp-3"):
+    with pytest.raises(InputError, match=r"start must be a checkpoint.*got nothing.*wskp-3s"):
         start_from("nothing", network, info.spec)
     model = onnx.load(info.path)
     for part in model.graph.initializer:

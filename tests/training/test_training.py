@@ -72,7 +72,7 @@ def data(tmp_path_factory):
 
 @pytest.fixture
 def small():
-    spec = load("wskp-3")
+    spec = load("wskp-3s")
     recipe = dataclasses.replace(spec.training, steps=30, batch=2, patch=32, learning_rate=5e-3)
     return dataclasses.replace(spec, training=recipe)
 
@@ -292,7 +292,7 @@ def test_a_recurrent_model_learns_from_its_own_previous_outputs(data, tmp_path):
 def test_a_checkpoint_of_another_network_is_refused(data, small, tmp_path):
     short = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=1))
     patch_training.train(short, [data], tmp_path, save_every=1)
-    with pytest.raises(InputError, match="checkpoint must be of wskp-3"):
+    with pytest.raises(InputError, match="checkpoint must be of wskp-3s"):
         patch_training.train(without_branches(short), [data], tmp_path)
 
 
@@ -368,11 +368,11 @@ def test_a_sequence_that_lacks_files_is_refused_in_a_line(data, tmp_path, missin
     for path in sequence.glob(missing):
         path.unlink()
     with pytest.raises(InputError, match=message):
-        load_examples(sequence, load("wskp-3"), Strips(1))
+        load_examples(sequence, load("wskp-3s"), Strips(1))
 
 
 def test_a_sequence_smaller_than_a_patch_is_refused_in_a_line(data):
-    spec = load("wskp-3")
+    spec = load("wskp-3s")
     examples = load_examples(data / "room-0000-0", spec, Strips(1))
     with pytest.raises(InputError, match=r"room-0000-0: must have 128 x 128 pixels or more"):
         PatchSampler(examples, spec)
@@ -397,7 +397,7 @@ def test_another_model_s_weights_are_taken_over_by_the_names_of_features(data, s
     )
     second = FAMILIES[turned.family].network(turned)
     origin = start_from(tmp_path / "first" / CHECKPOINT, second, turned)
-    assert origin == {"model": "wskp-3", "steps": 1}
+    assert origin == {"model": "wskp-3s", "steps": 1}
     (tmp_path / "first" / STARTED_FROM).write_text('{"model": "older", "steps": 7}')
     origin = start_from(tmp_path / "first" / CHECKPOINT, second, turned)
     assert origin["started_from"] == {"model": "older", "steps": 7}
@@ -410,7 +410,7 @@ def test_another_model_s_weights_are_taken_over_by_the_names_of_features(data, s
     mixed = dataclasses.replace(
         turned, network=dataclasses.replace(turned.network, features=names[::-1], identity=True)
     )
-    with pytest.raises(InputError, match="start must read the features of wskp-3 in their order"):
+    with pytest.raises(InputError, match="start must read the features of wskp-3s in their order"):
         start_from(
             tmp_path / "first" / CHECKPOINT,
             FAMILIES[mixed.family].network(mixed),
@@ -441,7 +441,7 @@ def test_weights_that_do_not_fit_are_refused(data, small, tmp_path):
     patch_training.train(short, [data], tmp_path, save_every=1)
     wide = dataclasses.replace(small, network=dataclasses.replace(small.network, widths=(16, 20)))
     network = FAMILIES[wide.family].network(wide)
-    with pytest.raises(InputError, match=r"start must have weights that fit wskp-3.*blocks"):
+    with pytest.raises(InputError, match=r"start must have weights that fit wskp-3s.*blocks"):
         start_from(tmp_path / CHECKPOINT, network, wide)
 
 
@@ -449,7 +449,7 @@ def test_weights_that_do_not_fit_are_refused(data, small, tmp_path):
     ("model", "error"),
     [
         # single frames, and sequences: each finds that there is nothing to train on
-        ("wskp-3", "data must hold finished sequences"),
+        ("wskp-3s", "data must hold finished sequences"),
         ("munet-x2", "data must hold finished sequences"),
         ("online", "got online, which learns as it denoises"),
     ],

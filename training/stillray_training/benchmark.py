@@ -214,7 +214,7 @@ def main(
         memory = dict(zip((run.info.name for run in runs), ours, strict=True))
         memory |= peer_memory(list(peers), settings[0], sequence)
         curves = (
-            scaling_curves("wskp-3", threads=threads, sizes=SIZES, progress=progress)
+            scaling_curves("wskp-3s", threads=threads, sizes=SIZES, progress=progress)
             if scaling
             else []
         )

@@ -62,7 +62,8 @@ def list_models() -> list[ModelInfo]:
     --------
     >>> import stillray
     >>> [model.name for model in stillray.list_models()]
-    ['kpyr-5', 'kpyr-5s', 'nbg-2x1', 'nbg-2x3', 'nbg-7x3', 'wskp-3', 'wskp-6', 'wskp-mr']
+    ['kpyr-5', 'kpyr-5s', 'nbg-2x1', 'nbg-2x3', 'nbg-7x3', 'wskp-3', 'wskp-3s', 'wskp-6',
+     'wskp-mr']
     """
     return [_fitting(read_model(path)) for path in _files().values()]
 

@@ -19,11 +19,11 @@ BASE_BYTES = 300 << 20
 #: Bytes a pixel of the whole frame: the floor under any bound. It holds the buffers of the frame
 #: in work, of the next and of the last, history, what is prepared, and the picture on its way out.
 #: The peak of whole runs over 12 channels of 1280 x 720, less the model and its tile, was 210 with
-#: wskp-3 and 270 with kpyr-5, which also remembers its output; 50 more for the accumulated albedo;
+#: wskp-3s and 270 with kpyr-5, which also remembers its output; 50 more for the accumulated albedo;
 #: rounded up. The reprojected past and its comparison with the frame add 40, counted, not measured.
 FRAME_BYTES = 420
 #: Bytes a pixel of a tile: features, network and reconstruction; 840 measured for kpyr-5, 410 for
-#: wskp-3, rounded up.
+#: wskp-3s, rounded up.
 TILE_BYTES = 900
 _LEAST_INNER = 64  # pixels, and no less than the overlap: smaller tiles would be little else
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}

@@ -183,4 +183,4 @@ def test_info_of_what_is_no_frame_graph_says_so_or_how_to_make_one(capsys):
 
 def test_other_families_have_no_frame_graph(tmp_path):
     with pytest.raises(InputError, match="made of kernel pyramids"):
-        write(find_model("wskp-3"), tmp_path)
+        write(find_model("wskp-3s"), tmp_path)
