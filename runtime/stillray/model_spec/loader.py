@@ -104,6 +104,8 @@ class Demodulate:
 
     floor: float  # smallest demodulation albedo of a channel, (0, 1]
     black: float  # albedo below this in all channels says nothing: divide by 1 there, [0, floor]
+    # what surfaces reflect besides without colouring it, added to the albedo of all channels, [0, 1]
+    specular: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -498,6 +500,7 @@ class ModelSpec:
         _odd("transfer.local_size", (self.transfer.local_size,), _MAX_LOCAL_SIZE)
         _within("demodulate.floor", self.demodulate.floor, 1e-6, 1)
         _within("demodulate.black", self.demodulate.black, 0, self.demodulate.floor)
+        _within("demodulate.specular", self.demodulate.specular, 0, 1)
         _within("transfer.middle", self.transfer.middle, 1e-6, 1e6)
         _within("transfer.exposure_memory", self.transfer.exposure_memory, 0, 0.999)
         _within("temporal.max_samples", self.temporal.max_samples, 1, 1e6)

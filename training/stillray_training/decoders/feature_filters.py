@@ -108,7 +108,7 @@ def reconstruct(
 
 def divisor(albedo_nchw: Tensor, options: Demodulate) -> Tensor:
     """What light is divided by, see `stillray.stages.demodulate.demodulation_albedo`."""
-    raised = albedo_nchw.clamp(options.floor, 1.0)
+    raised = albedo_nchw.clamp(options.floor, 1.0) + options.specular
     black = (albedo_nchw <= options.black).all(1, keepdim=True)
     return torch.where(black, torch.ones_like(raised), raised)
 
