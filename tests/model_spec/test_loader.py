@@ -58,7 +58,7 @@ def test_every_missing_key_is_named(data):
     for section, table in data.items():
         keys = [(section,)] if not isinstance(table, dict) else [(section, key) for key in table]
         for path in keys:
-            if path[-1] in {*_OPTIONAL, "differs"}:
+            if path[-1] in {*_OPTIONAL, "differs", "specular"}:
                 continue
             broken = copy.deepcopy(data)
             owner = broken
@@ -76,6 +76,7 @@ def test_every_missing_key_is_named(data):
         ("decoder", "kernel_sizes", [3, 4], "must be odd"),
         ("decoder", "logit_bound", 90.0, "decoder.logit_bound must be in"),
         ("demodulate", "floor", 0.0, "demodulate.floor must be in"),
+        ("demodulate", "specular", 1.5, "demodulate.specular must be in"),
         ("training", "steps", "many", "training.steps must be of type int"),
         ("network", "branches", [5, 3], "network.branches"),
         ("network", "kernel_sizes", [5, 5], "network.kernel_sizes must have 3 entries for 2"),

@@ -104,8 +104,7 @@ class Demodulate:
 
     floor: float  # smallest demodulation albedo of a channel, (0, 1]
     black: float  # albedo below this in all channels says nothing: divide by 1 there, [0, floor]
-    # what surfaces reflect besides without colouring it, added to the albedo of all channels, [0, 1]
-    specular: float = 0.0
+    specular: float = 0.0  # what surfaces reflect besides, uncoloured: added to the albedo, [0, 1]
 
 
 @dataclass(frozen=True, kw_only=True)

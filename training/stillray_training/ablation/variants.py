@@ -128,8 +128,8 @@ COMPARISONS = (
     Comparison(
         title="Kernels that neighbours share, against kernels predicted directly",
         source="Fan et al. 2021, tables 1 to 4 and 6, and table 7 of the supplement; wskp-6 is the "
-        "paper's six-layer model, wskp-3 its three-layer model, with 6 fused kernels each; KP predicts "
-        "13x13 kernels with six blocks, KP-1 with two, KP-2 7x7 kernels with five; "
+        "paper's six-layer model, wskp-3 its three-layer model, with 6 fused kernels each; KP "
+        "predicts 13x13 kernels with six blocks, KP-1 with two, KP-2 7x7 kernels with five; "
         "wskp-mr is its multi-resolution model, a U-Net with fused kernels of 3x3 and 5x5 at each "
         "of three resolutions, where MR-KP predicts 5x5 kernels with the same U-Net",
         variants=(BASE, "wskp-3", "KP", "KP-1", "KP-2", MULTI_RESOLUTION, "MR-KP"),
