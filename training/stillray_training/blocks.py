@@ -1,4 +1,4 @@
-"""A frame in independent blocks of samples, of which frames of other counts are made."""
+"""A sequence's frames; its last in blocks of samples, of which frames of other counts are made."""
 
 from __future__ import annotations
 
@@ -12,6 +12,13 @@ import numpy as np
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr
 from stillray_training.simulate.sequence import RECORD
+
+_FEW = 8.0  # samples below which a frame's guides are those of one block, as noisy as its light
+
+
+def frames_of(sequence: Path) -> list[Frame]:
+    """The frames of a folder, in order."""
+    return [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
 
 
 def read_blocks(sequence: Path, last: Frame, spp: float) -> list[tuple[Frame, float]]:
@@ -30,6 +37,45 @@ def read_blocks(sequence: Path, last: Frame, spp: float) -> list[tuple[Frame, fl
     paths = sorted(sequence.glob("block_*.exr"))
     more = [(read_exr(path), float(n)) for path, n in zip(paths, counts, strict=True)]
     return [(last, spp), *more]
+
+
+def alike_frames(
+    blocks: Sequence[tuple[Frame, float]],
+    reference: np.ndarray,
+    samples: float,
+    number: int,
+    rng: np.random.Generator,
+) -> list[Frame]:
+    """Frames of a still camera, of as many samples a pixel each, with noise of their own.
+
+    Each has the noise of a block of as many samples or fewer, made smaller; made larger it would
+    fall below 0.
+
+    Parameters
+    ----------
+    blocks
+        See `read_blocks`; two or more.
+    reference : (h, w, 3) float32
+        Light without noise.
+    samples
+        A pixel, of each frame; at least as many as the second smallest block has.
+    number
+        Of frames at most: there are no more than blocks that fit.
+    rng
+        Draws their order.
+    """
+    counts = np.array([count for _, count in blocks])
+    fitting = np.flatnonzero(counts <= samples)
+    largest = fitting[np.argsort(-counts[fitting], kind="stable")][:number]
+    still = np.zeros((*reference.shape[:2], 2), np.float32)
+    whole = mean_frame(blocks)
+    frames = []
+    for frame, count in (blocks[index] for index in rng.permutation(largest)):
+        noise = np.nan_to_num(frame.color) - reference
+        color = reference + np.float32(np.sqrt(count / samples)) * noise
+        guides = frame if samples < _FEW else whole
+        frames.append(replace(guides, color=color, motion=still, samples=samples))
+    return frames
 
 
 def mean_frame(blocks: Sequence[tuple[Frame, float]]) -> Frame:

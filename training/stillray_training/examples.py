@@ -22,13 +22,12 @@ from stillray.errors import InputError
 from stillray.families.contract import Context, Request
 from stillray.families.registry import kernels_of
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_exr
 from stillray.model_spec import ModelSpec
 from stillray.pipeline.denoiser import Denoiser
 from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
 from stillray.stages.state import History, Prepared
-from stillray_training.blocks import mean_frame, read_blocks
+from stillray_training.blocks import alike_frames, frames_of, mean_frame, read_blocks
 from stillray_training.film import DEVIATIONS, frame_through_film, through_film
 from stillray_training.quiet import fireflies, quiet_frame, uneven_frame
 from stillray_training.shade import moving_shade
@@ -49,7 +48,6 @@ _WANDERING = 0.5  # share of those with a past whose past has them too, one pixe
 _CHANGING = 0.7  # share of pasts that stay in whose frames the light changes
 _LIT_SAMPLES = (2.0, 256.0)  # of a frame after others
 _PAST = 4  # most frames before it
-_FEW = 8.0  # below it the guides of such a frame are those of one block, as noisy as its light
 _NOISE_LEFT = 0.3  # most of a past's noise that its last output is given
 _QUIET_PAST = 0.5  # share of quiet examples that have a past
 
@@ -96,7 +94,7 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Examp
     InputError
         The sequence lacks its frames or its reference.
     """
-    frames = [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
+    frames = frames_of(sequence)
     if not frames:
         raise InputError(f"{sequence}: must hold frames, frame_0000.exr and on")
     reference, spp = read_target(sequence)
@@ -155,7 +153,7 @@ def _quiet_example(
     run = [frame]
     if shining:
         light = fireflies(reference, rng)
-        frame = replace(frame, color=np.where(light > 0, light, frame.color))
+        frame = _lit_by(frame, light)
         run = [frame]
         if past:
             still = np.zeros((*frame.shape, 2), np.float32)
@@ -167,8 +165,7 @@ def _quiet_example(
     example = replace(_example(run, reference, spec, strips), spp=samples, kind=QUIET)
     if shining and past:
         # the last output of frames without fireflies: the picture as it should be
-        valid = np.ones((*frame.shape, 1), np.float32)
-        return replace(example, previous=np.concatenate([reference, valid], -1))
+        return replace(example, previous=_valid_output(reference))
     return _with_blurred_past(example, rng) if past else example
 
 
@@ -178,8 +175,18 @@ def _wandering(run: list[Frame], light: np.ndarray, rng: np.random.Generator) ->
     past = []
     for age, frame in zip(range(len(run) - 1, 0, -1), run, strict=False):
         there = np.roll(light, tuple(way * age), (0, 1))
-        past.append(replace(frame, color=np.where(there > 0, there, frame.color)))
+        past.append(_lit_by(frame, there))
     return [*past, run[-1]]
+
+
+def _lit_by(frame: Frame, light: np.ndarray) -> Frame:
+    """A frame with fireflies ``(h, w, 3)``, 0 where there is none."""
+    return replace(frame, color=np.where(light > 0, light, frame.color))
+
+
+def _valid_output(image: np.ndarray) -> np.ndarray:
+    """An image as a previous output, ``(h, w, 4)``, that is valid everywhere."""
+    return cv2.cvtColor(np.ascontiguousarray(image, np.float32), cv2.COLOR_RGB2RGBA)
 
 
 def _lit_example(
@@ -193,31 +200,23 @@ def _lit_example(
 
     A network that has only seen pasts that were right learns to trust those that no longer are.
     """
-    counts = np.array([count for _, count in blocks])
-    samples = float(np.exp(rng.uniform(*np.log(_LIT_SAMPLES))))
-    samples = max(samples, float(np.sort(counts)[1]))
-    # of as many samples or fewer, whose noise is made smaller; made larger it would fall below 0
-    fitting = np.flatnonzero(counts <= samples)
-    largest = fitting[np.argsort(-counts[fitting], kind="stable")][: rng.integers(2, _PAST + 2)]
-    order = rng.permutation(largest)
-    shades = [np.ones((*reference.shape[:2], 1), np.float32)] * len(order)
+    # two frames at least
+    fewest = sorted(count for _, count in blocks)[1]
+    samples = max(float(np.exp(rng.uniform(*np.log(_LIT_SAMPLES)))), fewest)
+    frames = alike_frames(blocks, reference, samples, int(rng.integers(2, _PAST + 2)), rng)
+    shades = [np.ones((*reference.shape[:2], 1), np.float32)] * len(frames)
     if rng.random() < _CHANGING:
-        shades = moving_shade(reference.shape[:2], len(order), rng)
-    still = np.zeros((*reference.shape[:2], 2), np.float32)
-    whole = mean_frame(blocks)
-    run = []
-    for shade, (frame, count) in zip(shades, (blocks[index] for index in order), strict=True):
-        # the noise of so many samples: each frame has its own
-        noise = np.nan_to_num(frame.color) - reference
-        color = reference + np.float32(np.sqrt(count / samples)) * noise
-        guides = frame if samples < _FEW else whole
-        run.append(replace(guides, color=color * shade, motion=still, samples=samples))
+        shades = moving_shade(reference.shape[:2], len(frames), rng)
+    run = [
+        replace(frame, color=frame.color * shade)
+        for frame, shade in zip(frames, shades, strict=True)
+    ]
     example = _example(run, reference * shades[-1], spec, strips)
-    left = np.float32(_NOISE_LEFT * rng.random())
-    before = reference * shades[-2] + left * (run[-2].color - reference * shades[-2])
-    valid = np.ones((*reference.shape[:2], 1), np.float32)
-    previous = np.concatenate([before, valid], -1)
-    return replace(example, spp=samples, kind=STILL, frames=len(run), previous=previous)
+    before = reference * shades[-2]
+    before = before + np.float32(_NOISE_LEFT * rng.random()) * (run[-2].color - before)
+    return replace(
+        example, spp=samples, kind=STILL, frames=len(run), previous=_valid_output(before)
+    )
 
 
 def _stills(
@@ -310,7 +309,7 @@ def previous_outputs(sequence: Path, model: Path, strips: Strips) -> dict[int, n
         By how many frames are accumulated: radiance of the previous output at the pixels of the
         last frame, and how much of it is valid.
     """
-    frames = [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
+    frames = frames_of(sequence)
     remembered = {}
     with Denoiser(model, threads=1) as denoiser:
         family = kernels_of(denoiser.model.spec)

@@ -24,6 +24,7 @@ from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr
 from stillray.pipeline.denoiser import Denoiser
+from stillray_training.blocks import frames_of
 from stillray_training.examples import find_sequences
 from stillray_training.peers.oidn import open_image_denoise
 from stillray_training.simulate.sequence import RECORD
@@ -77,11 +78,6 @@ def measure(
         method: metrics.evaluate(images, references, names=_MEASURED)
         for method, images in methods.items()
     }
-
-
-def frames_of(sequence: Path) -> list[Frame]:
-    """The frames of a folder, in order."""
-    return [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
 
 
 def _denoised(model: str, frames: list[Frame]) -> tuple[str, int, list[np.ndarray]]:

@@ -27,6 +27,7 @@ from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr
 from stillray.pipeline.denoiser import Denoiser
+from stillray_training.blocks import frames_of
 from stillray_training.examples import find_sequences
 from stillray_training.peers import OIDN_QUALITIES, open_image_denoise
 from stillray_training.simulate.buffers import Moment, render_noisy
@@ -34,7 +35,6 @@ from stillray_training.simulate.paths import recorded_path
 from stillray_training.simulate.sequence import RECORD, SequenceOptions, plan_scene
 from stillray_training.simulate.stage import Stage
 from stillray_training.simulate.variant import load_mitsuba
-from stillray_training.upscaling.compare import frames_of
 from stillray_training.upscaling.enlarge import enlarge
 from stillray_training.upscaling.time_in_turn import times_in_turn
 
