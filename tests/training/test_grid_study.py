@@ -8,6 +8,7 @@ import pytest
 pytest.importorskip("skimage")
 
 from stillray.arrays.strips import Strips
+from stillray.errors import InputError
 from stillray.families import bilateral_grid as grid
 from stillray.model_spec import load
 from stillray_training import grid_study
@@ -68,3 +69,8 @@ def test_the_page_holds_what_was_measured(tmp_path, capsys):
     assert "| mean of features as guides |" in written
     assert "| 6 kernels |" in written
     assert "Memory of the 1 grids" in written
+
+
+def test_models_without_grids_are_refused_by_name():
+    with pytest.raises(InputError, match="model must be one with bilateral grids, got kpyr-5s"):
+        grid_study.main("kpyr-5s")

@@ -21,6 +21,7 @@ import typer
 from stillray.arrays.strips import Strips, available_threads
 from stillray.cli import program
 from stillray.compare import metrics
+from stillray.errors import InputError
 from stillray.families import bilateral_grid as grid
 from stillray.families import box_filter as kernels
 from stillray.families.contract import Engine
@@ -203,14 +204,15 @@ def main(
     rounds: Annotated[int, typer.Option(min=1)] = 7,
 ) -> None:
     """Print the tables."""
+    options = find_model(model).spec.decoder
+    if not isinstance(options, BilateralGrids):
+        raise InputError(f"model must be one with bilateral grids, got {model}")
     taken = times(model, height, width, rounds)
     full = taken["6 kernels"]
     rows = {
         name: [float(np.median(values)), float(np.median(np.array(values) / np.array(full)))]
         for name, values in taken.items()
     }
-    options = find_model(model).spec.decoder
-    assert isinstance(options, BilateralGrids)
     megabytes = [f"{size / 1e6:.1f}" for size in grid_bytes(height, width, options)]
     parts = [
         f"## Time and memory, {width}x{height}",
