@@ -63,6 +63,7 @@ _TAKES_QUIET_SAMPLES = (
     6,
     nbg_2x1="one grid spreads a firefly over 6 pixels to each side, too few to bring it down",
     kpyr_5s=_TRUSTS_SAMPLES,
+    wskp_3=_TRUSTS_SAMPLES,
 )
 def firefly_in_the_first_frame(denoiser: stillray.Denoiser) -> float:
     return _peak(denoiser, 0, 0)
@@ -83,7 +84,7 @@ def firefly_four_frames_later(denoiser: stillray.Denoiser) -> float:
     4,
     kpyr_5s=_TAKES_QUIET_SAMPLES,
     nbg_7x3=_TRAINED_ON_CLEAN,
-    wskp_3="a third above the limit since it reads eight features; why was not found",
+    wskp_3s="a third above the limit since it reads eight features; why was not found",
 )
 def firefly_in_an_old_history(denoiser: stillray.Denoiser) -> float:
     return _peak(denoiser, 20, 0)

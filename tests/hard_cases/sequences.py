@@ -69,6 +69,7 @@ _KERNELS_MOVE_LIGHT = (
     kpyr_5s=_KERNELS_MOVE_LIGHT,
     nbg_7x3=_KERNELS_MOVE_LIGHT,
     wskp_3=_KERNELS_MOVE_LIGHT,
+    wskp_3s=_KERNELS_MOVE_LIGHT,
     wskp_6=_KERNELS_MOVE_LIGHT,
     wskp_mr=_KERNELS_MOVE_LIGHT,
 )
@@ -247,6 +248,7 @@ _WITH_AND_WITHOUT = "error with the past / of each frame alone, 8 frames, worst 
     nbg_2x3=_HIDDEN_BY_NOISE,
     nbg_7x3=_HIDDEN_BY_NOISE,
     wskp_3=_HIDDEN_BY_NOISE,
+    wskp_3s=_HIDDEN_BY_NOISE,
     wskp_6=_HIDDEN_BY_NOISE,
     wskp_mr=_HIDDEN_BY_NOISE,
 )
@@ -261,6 +263,7 @@ def shadow_moves_in_noise(denoiser: stillray.Denoiser) -> float:
     kpyr_5=_HIDDEN_BY_NOISE,
     kpyr_5s=_HIDDEN_BY_NOISE,
     nbg_7x3=_HIDDEN_BY_NOISE,
+    wskp_3=_HIDDEN_BY_NOISE,
     wskp_6=_HIDDEN_BY_NOISE,
     wskp_mr=_HIDDEN_BY_NOISE,
 )
@@ -289,6 +292,7 @@ def shadow_moves_in_quiet_frames(denoiser: stillray.Denoiser) -> float:
     nbg_2x3=_HIDDEN_BY_NOISE,
     nbg_7x3=_HIDDEN_BY_NOISE,
     wskp_3=_HIDDEN_BY_NOISE,
+    wskp_3s=_HIDDEN_BY_NOISE,
     wskp_6=_HIDDEN_BY_NOISE,
     wskp_mr=_HIDDEN_BY_NOISE,
 )
