@@ -400,9 +400,8 @@ def feature_filters(
     for name in ("albedo", "specular"):
         albedo = kept[name][..., :3]
         black = (albedo <= rules.demodulate.black).all(-1, keepdims=True)
-        by[name] = np.where(
-            black, 1.0, np.clip(albedo, rules.demodulate.floor, 1) + rules.demodulate.specular
-        )
+        by[name] = np.where(black, 1.0, np.clip(albedo, rules.demodulate.floor, 1))
+        by[name] = by[name] + rules.demodulate.specular
     light = kept["light"][..., :3]
     planes = np.concatenate([light / by["albedo"], light / by["specular"], light], -1)
     shares = _softmax(maps[0][layout.partition])

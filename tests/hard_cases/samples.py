@@ -62,7 +62,6 @@ _TAKES_QUIET_SAMPLES = (
     "largest pixel / the same without it",
     6,
     nbg_2x1="one grid spreads a firefly over 6 pixels to each side, too few to bring it down",
-    kpyr_5s=_TRUSTS_SAMPLES,
     wskp_3=_TRUSTS_SAMPLES,
 )
 def firefly_in_the_first_frame(denoiser: stillray.Denoiser) -> float:
@@ -82,7 +81,6 @@ def firefly_four_frames_later(denoiser: stillray.Denoiser) -> float:
     "a firefly of 1e3 to 3e38 after 20 frames",
     "largest pixel / the same without it",
     4,
-    kpyr_5s=_TAKES_QUIET_SAMPLES,
     nbg_7x3=_TRAINED_ON_CLEAN,
     wskp_3s="a third above the limit since it reads eight features; why was not found",
 )
@@ -172,7 +170,6 @@ def nothing_but_broken_pixels(denoiser: stillray.Denoiser) -> float:
     "largest pixel / the surroundings",
     3,
     nbg_7x3=_TRAINED_ON_CLEAN,
-    kpyr_5s=_TRUSTS_SAMPLES,
 )
 def broken_pixel_beside_a_firefly(denoiser: stillray.Denoiser) -> float:
     frame = _with_firefly(flat(0.5), 3e38)

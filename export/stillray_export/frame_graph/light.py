@@ -19,7 +19,7 @@ def is_black(albedo_nchw: Tensor, options: Demodulate) -> Tensor:
 def divisor(albedo_nchw: Tensor, options: Demodulate) -> Tensor:
     """What radiance is divided by, ``(1, 3, h, w)``, see `stillray.stages.demodulate`."""
     black = is_black(albedo_nchw, options)
-    return torch.where(black > 0, 1.0, albedo_nchw.clamp(options.floor, 1) + options.specular)
+    return torch.where(black > 0, 1.0, albedo_nchw.clamp(options.floor, 1)) + options.specular
 
 
 def luminance(planes_nchw: Tensor) -> Tensor:

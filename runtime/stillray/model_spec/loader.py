@@ -103,7 +103,7 @@ class Demodulate:
     """Division of radiance by albedo before filtering (Fan et al. 2021, section 4.2)."""
 
     floor: float  # smallest demodulation albedo of a channel, (0, 1]
-    black: float  # albedo below this in all channels says nothing: divide by 1 there, [0, floor]
+    black: float  # albedo below this in all channels says nothing: white there, [0, floor]
     specular: float = 0.0  # what surfaces reflect besides, uncoloured: added to the albedo, [0, 1]
 
 

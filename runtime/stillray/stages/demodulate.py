@@ -24,7 +24,7 @@ def demodulation_albedo(
     differs: Fan et al. 2021, section 4.2, divide by the albedo itself. Renderers report albedo 0
     for valid hits (smooth mirrors, glass) and channels near 0.01 for saturated paint; dividing a
     highlight by those makes a coloured firefly. So channels are raised to a floor, and a pixel
-    whose albedo says nothing is divided by 1. Varnish and glaze reflect light that their texture
+    whose albedo says nothing counts as white. Varnish and glaze reflect light that their texture
     does not colour: of radiance ``(albedo + specular) E`` the quotient by the sum is ``E``, without
     the texture; by the albedo alone it would be as coloured as the texture's complement.
 
@@ -42,16 +42,16 @@ def demodulation_albedo(
     Returns
     -------
     (h, w, 3) float32
-        In [floor + specular, 1 + specular], or 1. Radiance divided and multiplied by it is the
-        radiance, up to rounding.
+        In [floor, 1] and ``specular`` more. Radiance divided and multiplied by it is the radiance,
+        up to rounding.
     """
     raised: np.ndarray = np.clip(albedo, np.float32(options.floor), np.float32(1), out=out)
-    if options.specular:
-        raised += np.float32(options.specular)
     # finding black pixels is dear: not where a quick look says that there are none
     if cv2.transform(albedo, _SUM).min() <= _SURE * options.black:
         black = cv2.inRange(albedo, _BELOW_ZERO, (options.black,) * 3)
         ones = (workspace or Workspace()).array("ones", albedo.shape)
         ones.fill(1)
         cv2.copyTo(ones, black, raised)
+    if options.specular:
+        raised += np.float32(options.specular)
     return raised

@@ -108,9 +108,9 @@ def reconstruct(
 
 def divisor(albedo_nchw: Tensor, options: Demodulate) -> Tensor:
     """What light is divided by, see `stillray.stages.demodulate.demodulation_albedo`."""
-    raised = albedo_nchw.clamp(options.floor, 1.0) + options.specular
+    raised = albedo_nchw.clamp(options.floor, 1.0)
     black = (albedo_nchw <= options.black).all(1, keepdim=True)
-    return torch.where(black, torch.ones_like(raised), raised)
+    return torch.where(black, torch.ones_like(raised), raised) + options.specular
 
 
 def _filtered(values: Tensor, maps: Tensor, planes: GaussianPlanes) -> Tensor:
