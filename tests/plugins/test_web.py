@@ -21,7 +21,7 @@ torch = pytest.importorskip("torch")
 
 from stillray.models.registry import find_model  # noqa: E402
 from stillray_export.frame_graph.export import write  # noqa: E402
-from tests.export.frame_graph.moving import sequence  # noqa: E402
+from stillray_export.frame_graph.moving import sequence  # noqa: E402
 from tests.export.frame_graph.test_frame_graph import Graph, decibels  # noqa: E402
 
 WEB = Path(__file__).parents[2] / "plugins/web"

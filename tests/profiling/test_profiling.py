@@ -172,6 +172,7 @@ def _result(model="fast", temporal=True):
         info=find_model(model),
         buffers=("color",),
         load=5.0,
+        load_busy=1.0,
         first=stages,
         warm=[stages, {name: 2 * value for name, value in stages.items()}],
         files={"read": [9.0], "write": [8.0]},

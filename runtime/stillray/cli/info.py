@@ -83,16 +83,24 @@ def _graph(name: str) -> dict[str, Any]:
     from stillray.models.frame_graph import find_frame_graph, read_frame_graph
 
     path = find_frame_graph(name)
-    return {"file": printable(str(path)), **asdict(read_frame_graph(path).ports)}
+    file = read_frame_graph(path)
+    return {
+        "file": printable(str(path)),
+        "size_bytes": file.size_bytes,
+        "operators": {printable(name): count for name, count in file.operators.items()},
+        **asdict(file.ports),
+    }
 
 
 def _print_graph(facts: dict[str, Any]) -> None:
     from rich.table import Table
 
     from stillray.cli.output import console
+    from stillray.models.frame_graph import describe_graph
 
     out = console()
     out.print(f"{facts['file']}: float32 tensors, no batch axis")
+    out.print(describe_graph(facts["operators"], facts["size_bytes"]))
     for kind in ("inputs", "outputs"):
         columns = ("name", "shape", "unit", "convention")
         more = ("neutral", "next") if kind == "inputs" else ()

@@ -34,7 +34,8 @@ def profile(
         typer.Option(
             "--model",
             "-m",
-            help="Model, or 'all'; repeatable; those of the qualities unless given.",
+            help="Model, .onnx file, also of a frame graph, or 'all'; repeatable; those of the "
+            "qualities unless given.",
         ),
     ] = None,
     size: Annotated[
@@ -88,13 +89,13 @@ def _settings(
     temporal: bool,
 ) -> list[Setting]:
     from stillray.arrays.strips import available_threads
-    from stillray.models.registry import find_model, list_models
-    from stillray.models.session import open_session
+    from stillray.models.registry import list_models
+    from stillray.pipeline.opening import engine_of_model, model_of
     from stillray.profiling.clip import DEFAULT_SIZE, open_clip
     from stillray.profiling.measure import Setting
 
     if models and "all" not in models:
-        names, infos = list(models), [find_model(name) for name in models]
+        names, infos = list(models), [model_of(name) for name in models]
     else:  # all of them take minutes, which has to be asked for
         infos = [info for info in list_models() if models or info.aliases]
         names = [info.name for info in infos]
@@ -102,7 +103,7 @@ def _settings(
         if count < 1:
             raise InputError(f"threads must be 1 or more, got {count}")
     for provider in providers or ():  # an unknown one is refused before anything is measured
-        open_session(infos[0].path, threads=1, providers=(provider,))
+        engine_of_model(infos[0], 1, (provider,)).close()
     if sizes:
         shapes = [_parse_size(text) for text in sizes]
     else:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,12 +88,15 @@ class FrameGraphFile:
         What the graph takes and gives.
     metadata
         All that the file says of itself, by key.
+    operators
+        How many nodes it has of each operator, the most frequent first.
     size_bytes
         The file's.
     """
 
     ports: Ports
     metadata: Mapping[str, str]
+    operators: Mapping[str, int]
     size_bytes: int
 
 
@@ -116,12 +120,13 @@ def find_frame_graph(name: str) -> Path:
 
 
 def read_frame_graph(path: Path) -> FrameGraphFile:
-    """What a frame graph's file tells; its nodes are not looked at.
+    """What a frame graph's file tells; whether each operator may be in it is not looked at.
 
     Raises
     ------
     InputError
-        The file cannot be read, is not ONNX, or tells of no inputs and outputs.
+        The file cannot be read, is not ONNX, holds graphs in its nodes or needs other files, or
+        tells of no inputs and outputs.
     """
     data = read_bytes(path)
     try:
@@ -134,7 +139,18 @@ def read_frame_graph(path: Path) -> FrameGraphFile:
         ports = _ports(metadata[PORTS_KEY])
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: its inputs and outputs cannot be read: {error}") from None
-    return FrameGraphFile(ports=ports, metadata=metadata, size_bytes=len(data))
+    return FrameGraphFile(
+        ports=ports,
+        metadata=metadata,
+        operators=dict(_operators(data, path).most_common()),
+        size_bytes=len(data),
+    )
+
+
+def describe_graph(operators: Mapping[str, int], size_bytes: int) -> str:
+    """Size and nodes by operator of a graph, in a line."""
+    listed = ", ".join(f"{count} {name}" for name, count in operators.items())
+    return f"{size_bytes / 1e6:.2f} MB, {sum(operators.values())} nodes: {listed}"
 
 
 def checked_bytes(path: Path) -> bytes:
@@ -148,16 +164,19 @@ def checked_bytes(path: Path) -> bytes:
         The file cannot be read, or holds what `stillray-export` does not write.
     """
     data = read_bytes(path)
-    try:
-        others = operators_of(data, _MAX_NODES) - OPERATORS
-    except WireError as error:
-        raise InputError(f"{path}: not a usable frame graph: {error}") from None
-    if others:
+    if others := _operators(data, path).keys() - OPERATORS:
         raise InputError(
             f"{path}: not a usable frame graph: it holds operators that no export writes: "
             f"{', '.join(sorted(others))}"
         )
     return data
+
+
+def _operators(data: bytes, path: Path) -> Counter[str]:
+    try:
+        return operators_of(data, _MAX_NODES)
+    except WireError as error:
+        raise InputError(f"{path}: not a usable frame graph: {error}") from None
 
 
 def _ports(text: str) -> Ports:

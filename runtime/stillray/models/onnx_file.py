@@ -9,6 +9,7 @@ the file itself. What the nodes may be says `stillray.models.network_graph`.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -183,8 +184,8 @@ def metadata_of(data: bytes) -> dict[str, str]:
     return _metadata(wire, wire.decode("model", memoryview(data), _MODEL))
 
 
-def operators_of(data: bytes, most_nodes: int) -> frozenset[str]:
-    """The operators of a larger graph than a network's, whose tensors may be of any type.
+def operators_of(data: bytes, most_nodes: int) -> Counter[str]:
+    """How many nodes of each operator a larger graph than a network's has, of tensors of any type.
 
     Raises
     ------
@@ -192,20 +193,23 @@ def operators_of(data: bytes, most_nodes: int) -> frozenset[str]:
         It is not ONNX, needs other libraries or files, holds graphs in its nodes, or too many.
     """
     wire = Wire(MAX_VALUES * most_nodes // MAX_NODES)
-    graph = wire.decode("graph", wire.decode("model", memoryview(data), _MODEL)["graph"], _GRAPH)
+    model = wire.decode("model", memoryview(data), _MODEL)
+    if "graph" not in model:
+        raise WireError("it holds no graph")
+    graph = wire.decode("graph", model["graph"], _GRAPH)
     if len(graph["node"]) > most_nodes:
         raise WireError(f"it has {len(graph['node'])} nodes, more than {most_nodes}")
     for chunk in graph["initializer"]:
         wire.decode("tensor", chunk, _TENSOR)  # one in another file has fields that this lacks
-    operators = set()
+    operators: Counter[str] = Counter()
     for chunk in graph["node"]:
         node = wire.decode("node", chunk, _NODE)
         if domain := node.get("domain", ""):
             raise WireError(f"it needs the operator {node.get('op_type', '')} of {domain}")
         for attribute in node["attribute"]:
             wire.decode("attribute", attribute, _ATTRIBUTE | _TENSOR_ATTRIBUTE)
-        operators.add(node.get("op_type", ""))
-    return frozenset(operators)
+        operators[node.get("op_type", "")] += 1
+    return operators
 
 
 def _metadata(wire: Wire, model: Mapping[str, Any]) -> dict[str, str]:

@@ -6,7 +6,7 @@ import json
 import os
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -53,6 +53,7 @@ class ModelInfo:
     spec: ModelSpec
     interface: Interface  # of its network
     ports: Ports | None = None  # of a frame graph: what it takes and gives; None for a network
+    operators: Mapping[str, int] = field(default_factory=dict)  # of a frame graph: nodes of each
 
 
 def list_models() -> list[ModelInfo]:
@@ -173,7 +174,9 @@ def find_frame_model(name: str | os.PathLike[str]) -> ModelInfo:
         features=len(spec.network.features), outputs=planes, multiplications=float("nan")
     )
     info = _info(path, file.size_bytes, interface, spec, provenance)
-    return replace(info, name=f"{spec.name}{FRAME_SUFFIX}", ports=file.ports)
+    return replace(
+        info, name=f"{spec.name}{FRAME_SUFFIX}", ports=file.ports, operators=file.operators
+    )
 
 
 def is_frame_graph(name: str | os.PathLike[str]) -> bool:

@@ -57,10 +57,13 @@ def stage_costs(info: ModelInfo, frame: Frame) -> dict[str, Cost]:
     Parameters
     ----------
     info
-        The model: one that filters by kernels, or that doubles frames; of others nothing is known.
+        The model: one that filters by kernels, or that doubles frames; of others nothing is known,
+        nor of a frame graph, whose stages are not told apart.
     frame
         Its size and the buffers that it holds count, not its values.
     """
+    if info.ports is not None:
+        return {}
     family = family_of(info.spec)
     scale = family.traits.scale
     height, width = (size * scale for size in frame.shape)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from stillray.families.frame_graph import FRAME
 from stillray.io.exr.read_write import read_exr, write_exr
 from stillray.models.registry import ModelInfo
 from stillray.pipeline.denoiser import Denoiser
@@ -28,7 +29,7 @@ ORDER = (
     "read", "inspect", "repair", "demodulate", "expose", "specular_motion", "surface_guides",
     "reproject", "reject_history", "accumulate", "accumulate_albedo", "resample_output", "enlarge",
     "warp", "encode", "network", "reconstruct", "remodulate", "layers", "keep_output", "remember",
-    REST, "write",
+    FRAME, REST, "write",
 )  # fmt: skip
 _SETTLING = 2  # frames that still allocate: two histories change places
 _LEAST_FRAMES = 3
@@ -75,8 +76,8 @@ class Run:
         What was run.
     buffers
         Names of the buffers that the frames held.
-    load
-        Milliseconds to open the model.
+    load, load_busy
+        Milliseconds to open the model, and of processor time.
     first
         Stage to milliseconds of the very first frame: without a past, with all allocations.
     warm
@@ -89,6 +90,7 @@ class Run:
     info: ModelInfo
     buffers: tuple[str, ...]
     load: float
+    load_busy: float
     first: dict[str, float]
     warm: list[dict[str, float]] = field(default_factory=list)
     files: dict[str, list[float]] = field(default_factory=dict)
@@ -132,9 +134,10 @@ def measure(
     with ExitStack() as stack:
         streams, runs = [], []
         for setting in settings:
-            start = time.perf_counter()
+            start, busy = time.perf_counter(), time.process_time()
             denoiser = stack.enter_context(open_denoiser(setting))
             load = 1e3 * (time.perf_counter() - start)
+            load_busy = 1e3 * (time.process_time() - busy)
             stream = Stream(denoiser, clip)
             first = stream.next_frame()
             runs.append(
@@ -143,6 +146,7 @@ def measure(
                     info=denoiser.model,
                     buffers=tuple(sorted(clip.frames[0].given)),
                     load=load,
+                    load_busy=load_busy,
                     first=first,
                 )
             )

@@ -87,7 +87,9 @@ def _draw_bars(axes: Axes, results: Sequence[Result]) -> None:
             f"{total.median:.0f} ms   p95 {total.p95:.0f}, worst {total.worst:.0f}",
             va="center",
         )
-        axes.text(roofline_left + 0.01 * longest, row + 0.34, "roofline", va="center", fontsize=7)
+        if roofline_left:
+            edge = roofline_left + 0.01 * longest
+            axes.text(edge, row + 0.34, "roofline", va="center", fontsize=7)
     axes.set_yticks(
         range(len(results)), [title(result).replace(", ", "\n", 1) for result in results]
     )

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from stillray.models.frame_graph import describe_graph
 from stillray.profiling.measure import REST, TOTAL
 from stillray.profiling.results import Result
 from stillray.profiling.scaling import Curve
@@ -39,6 +40,9 @@ def _run(result: Result) -> dict[str, Any]:
         "peaks": asdict(result.peaks),
         "memory_mib": None if result.memory is None else asdict(result.memory),
         "load_ms": run.load,
+        "load_processor_ms": run.load_busy,
+        "size_bytes": run.info.size_bytes,
+        "operators": dict(run.info.operators),
         "first_frame_ms": run.first,
         "warm_frames": len(run.warm),
         "stages": {
@@ -85,14 +89,18 @@ def remarks(result: Result) -> list[str]:
     """What the table does not hold."""
     run, peaks = result.run, result.peaks
     lines = [
-        f"{len(run.warm)} warm frames; opening the model {run.load:.0f} ms, "
-        f"first frame {run.first[TOTAL]:.0f} ms; {TOTAL} is a frame without its files"
+        f"{len(run.warm)} warm frames; opening the model {run.load:.0f} ms "
+        f"({run.load_busy:.0f} ms of processor time), first frame {run.first[TOTAL]:.0f} ms; "
+        f"{TOTAL} is a frame without its files"
     ]
     if result.memory is not None:
         lines.append(
             f"peak memory {result.memory.peak:.0f} MiB, of which {result.memory.net:.0f} MiB "
             "over the frames and the libraries"
         )
+    if run.info.ports is not None:
+        lines.append(describe_graph(run.info.operators, run.info.size_bytes))
+        return lines  # of a graph whose stages are not told apart there is no roofline
     lines.append(
         f"roofline: the slower of operations at {peaks.operations / 1e9:.0f} GFLOP/s (matrix "
         f"product) and bytes at {peaks.bandwidth / 1e9:.1f} GB/s (copy), measured here; {REST} is "

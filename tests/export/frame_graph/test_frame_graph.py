@@ -16,7 +16,7 @@ from stillray.errors import InputError  # noqa: E402
 from stillray.frame import Frame  # noqa: E402
 from stillray.models.registry import find_model  # noqa: E402
 from stillray_export.frame_graph.export import write  # noqa: E402
-from tests.export.frame_graph.moving import sequence  # noqa: E402
+from stillray_export.frame_graph.moving import sequence  # noqa: E402
 
 #: What the cases are tested on; the other kernel pyramid is in one.
 NAME = "kpyr-5"
@@ -166,6 +166,8 @@ def test_info_lists_what_a_frame_graph_takes_and_gives(graph, capsys):
     assert "squared exposed irradiance" in text
     assert main(["info", path, "--graph", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
+    assert facts["size_bytes"] == graph.path.stat().st_size
+    assert f"{sum(facts['operators'].values())} nodes" in text
     session = graph.session
     assert [port["name"] for port in facts["inputs"]] == [x.name for x in session.get_inputs()]
     assert [port["name"] for port in facts["outputs"]] == [x.name for x in session.get_outputs()]

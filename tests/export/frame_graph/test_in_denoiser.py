@@ -7,6 +7,7 @@ The CPU is a provider as any other: bindings and states go the same way, in main
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,8 +28,10 @@ from stillray.io.exr.read_write import read_exr, read_picture, write_channels  #
 from stillray.models.frame_graph import PORTS_KEY  # noqa: E402
 from stillray.models.frame_session import FrameSession, device_of  # noqa: E402
 from stillray.models.registry import find_model, with_overrides  # noqa: E402
+from stillray.profiling import report, results  # noqa: E402
+from stillray.profiling.machine import PeakRates  # noqa: E402
 from stillray_export.frame_graph.export import write  # noqa: E402
-from tests.export.frame_graph.moving import sequence  # noqa: E402
+from stillray_export.frame_graph.moving import sequence  # noqa: E402
 
 NAME = "kpyr-5s"
 CPU = "CPUExecutionProvider"
@@ -139,6 +142,29 @@ def test_other_layers_and_other_settings_are_refused(denoiser):
         denoiser.denoise_layers(frame, {"diffuse": frame.color})
     with pytest.raises(InputError, match="must be a network to have other settings"):
         with_overrides(denoiser.model, max_samples=4)
+
+
+def test_profile_tells_time_size_and_nodes_of_a_graph(path, capsys, monkeypatch):
+    peaks = PeakRates(operations=1e11, bandwidth=1e10)
+    monkeypatch.setattr(results, "measure_peak_rates", lambda threads: peaks)
+    measured, as_dict = [], report.as_dict
+    monkeypatch.setattr(report, "as_dict", lambda *told: measured.append(told[0]) or as_dict(*told))
+    plot = path.parent / "plot.png"
+    options = ["--size", "33x17", "--threads", "1", "--seconds", "0", "--no-memory", "--json"]
+    command = ["profile", "-m", str(path), "--provider", CPU, "--plot", str(plot)]
+    assert main([*command, *options]) == 0
+    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    assert (run["model"], run["provider"]) == (f"{NAME}.frame", CPU)
+    assert set(run["stages"]) == {"read", "frame", "rest", "total", "write"}
+    assert run["stages"]["frame"]["median"] > 0.5 * run["stages"]["total"]["median"]
+    nodes = Counter(node.op_type for node in onnx.load_model(str(path)).graph.node)
+    assert run["operators"] == nodes
+    assert run["size_bytes"] == path.stat().st_size
+    ((result,),) = measured
+    told = " ".join(report.remarks(result))
+    assert f"{nodes.total()} nodes: {nodes['Slice']} Slice" in told
+    assert "roofline" not in told
+    assert plot.stat().st_size
 
 
 def test_where_there_is_no_graph_it_says_how_to_make_one(tmp_path):

@@ -16,8 +16,8 @@ from stillray.frame import Frame  # noqa: E402
 from stillray.models.registry import find_model  # noqa: E402
 from stillray_export.frame_graph.color_curve import ColorCurve, decoded, encoded  # noqa: E402
 from stillray_export.frame_graph.export import write_spatial  # noqa: E402
+from stillray_export.frame_graph.moving import sequence  # noqa: E402
 from stillray_export.frame_graph.spatial import unit_normals  # noqa: E402
-from tests.export.frame_graph.moving import sequence  # noqa: E402
 
 #: dB of tone-mapped pictures
 PARITY = 80

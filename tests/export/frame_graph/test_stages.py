@@ -44,7 +44,7 @@ from stillray_export.frame_graph import (  # noqa: E402
     windows,
 )
 from stillray_export.frame_graph import repair as graph_repair  # noqa: E402
-from tests.export.frame_graph.moving import sequence  # noqa: E402
+from stillray_export.frame_graph.moving import sequence  # noqa: E402
 
 SPEC = load("kpyr-5")
 SIZES = ((1, 1), (3, 17), (33, 18), (40, 49))

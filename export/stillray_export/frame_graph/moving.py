@@ -8,7 +8,8 @@ import numpy as np
 
 from stillray.frame import Frame
 
-_LAMP, _CUT = 3, 5  # frames
+#: Frames at which a lamp is switched on, and after which all is elsewhere.
+LAMP, CUT = 3, 5
 
 
 def sequence(count: int, height: int, width: int, *, broken: bool = True) -> list[Frame]:
@@ -22,7 +23,7 @@ def _texture(u: np.ndarray, v: np.ndarray, phase: float) -> np.ndarray:
 
 
 def _frame(index: int, height: int, width: int, rng: np.random.Generator, *, broken: bool) -> Frame:
-    time = index if index < _CUT else index + 40
+    time = index if index < CUT else index + 40
     y, x = np.mgrid[:height, :width].astype(np.float64)
     u, v = x + 1.3 * time, y + 0.4 * time
     depth = 10 + 2 * np.sin(u / 40) + 1.5 * np.cos(v / 33)
@@ -31,7 +32,7 @@ def _frame(index: int, height: int, width: int, rng: np.random.Generator, *, bro
     normal = np.stack([0.3 * np.sin(u / 40), 0.3 * np.cos(v / 33), np.ones_like(u)], -1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     light = 1 + 0.5 * np.sin(u / 50)
-    if index == _LAMP:
+    if index == LAMP:
         light *= np.where(x > width / 2, 4, 1)
     middle = width * 0.3 + 3.1 * time % (width * 0.5)
     thing = (abs(x - middle) < width / 8) & (abs(y - height / 2) < height / 6)
