@@ -27,7 +27,7 @@ from stillray.models.registry import WHOLE_SUFFIX, find_model, require_fit
 from stillray.models.session import checked
 from stillray_export import feature_filters, parity
 from stillray_export.frame_graph.color_curve import ColorCurve
-from stillray_export.frame_graph.export import write, write_spatial
+from stillray_export.frame_graph.export import write_checked, write_spatial
 from stillray_training.checkpoint import CHECKPOINT, load_network
 from stillray_training.decoders.boxes import pooled_box_mean
 from stillray_training.evaluate.cases import find_cases
@@ -146,7 +146,7 @@ def main(
 ) -> None:
     """Export a trained run, or all stages of a model as one graph a frame."""
     if frame_graph:
-        print(write(find_model(str(run)), out or Path()))
+        print(write_checked(find_model(str(run)), out or Path()))
     if spatial is not None:
         print(write_spatial(find_model(str(run)), out or Path(), spatial))
     if frame_graph or spatial is not None:

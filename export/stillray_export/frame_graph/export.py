@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from pathlib import Path
 
 import onnx
@@ -17,6 +18,7 @@ from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec.network_outputs import network_outputs
 from stillray.models.frame_graph import FRAME_SUFFIX, PORTS_KEY, SPATIAL_SUFFIX, Ports
 from stillray.models.registry import PROVENANCE_KEY, SPEC_KEY, ModelInfo
+from stillray_export.frame_graph import parity
 from stillray_export.frame_graph.color_curve import ColorCurve
 from stillray_export.frame_graph.frame import NUMBERS, FrameGraph, beginning
 from stillray_export.frame_graph.graph import Placeholder, expanded, traced
@@ -24,6 +26,24 @@ from stillray_export.frame_graph.ports import ports, spatial_ports
 from stillray_export.frame_graph.spatial import PLANES, SpatialGraph
 
 _EXAMPLE = (37, 58)  # pixels; odd, and no multiple of what networks take
+
+
+def write_checked(info: ModelInfo, out: Path) -> Path:
+    """`write`, once `parity.check` has found that the graph's pictures are the runtime's.
+
+    Raises
+    ------
+    InputError
+        The model is of a family that has no frame graph.
+    stillray_export.parity.ParityError
+        The graph's pictures are others: nothing is written.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        made = write(info, Path(folder))
+        parity.check(made, info)
+        with atomic_path(out / made.name) as temporary:
+            temporary.write_bytes(made.read_bytes())
+    return out / made.name
 
 
 def write(info: ModelInfo, out: Path) -> Path:
