@@ -29,12 +29,24 @@ def main() -> None:
     parser.add_argument("graph", type=Path, help="NAME.frame.onnx")
     parser.add_argument("out", type=Path, help="folder to make")
     parser.add_argument("--sequence", type=Path, default=HERE.parents[2] / "tests/data/room")
+    parser.add_argument("--frames", type=int, default=8, help="how many at most")
     parser.add_argument(
         "--runtime", type=Path, default=HERE.parent / "node_modules/onnxruntime-web/dist"
     )
+    parser.add_argument("--corner", type=int, help="pixels: a square of the frames alone")
     given = parser.parse_args()
     frames = [read_exr(path) for path in sorted(given.sequence.glob("frame_*.exr"))]
+    if min(given.frames, len(frames), 1 if given.corner is None else given.corner) < 1:
+        parser.error(f"{given.sequence}, --frames and --corner must leave a frame and a pixel")
+    frames = [corner(frame, given.corner) for frame in frames[: given.frames]]
     build(given.graph, frames, given.runtime, given.out)
+
+
+def corner(frame: Frame, size: int | None) -> Frame:
+    """The upper left square of a frame, of as many pixels to a side; all of it if None."""
+    return Frame(
+        **{name: getattr(frame, name)[:size, :size] for name in _BUFFERS if name in frame.given}
+    )
 
 
 def build(graph: Path, frames: list[Frame], runtime: Path, out: Path) -> None:
