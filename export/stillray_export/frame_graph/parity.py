@@ -32,7 +32,8 @@ LEAST = 80.0
 COLUMNS = (
     "picture", "last row", "light", "samples", "geometry", "noise", "exposure", "albedo",
 )  # fmt: skip
-_SIZE = (61, 90)  # pixels; no multiple of what networks take
+#: Height and width of made-up frames, pixels: no multiples of what networks take.
+SIZE = (61, 90)
 _FRAMES = 8
 _MOST = 200.0  # dB, of what is the same
 _DRAWN = -180.0, -40.0  # dB of differences that are drawn black and white
@@ -52,7 +53,7 @@ def tone_mapped(picture: np.ndarray) -> np.ndarray:
     return mapped
 
 
-def check(graph: Path, info: ModelInfo, size: tuple[int, int] = _SIZE) -> None:
+def check(graph: Path, info: ModelInfo, size: tuple[int, int] = SIZE) -> None:
     """Refuse a frame graph whose pictures are not those of its model's stages.
 
     Over eight frames with a lamp that is switched on, a mirror, a cut, NaN, infinities, and what
@@ -159,7 +160,7 @@ def main(
     info = find_model(model or find_frame_model(graph).spec.name)
     if pictures is not None and not pictures.is_dir():
         raise InputError(f"pictures must be a folder that exists, got {pictures}")
-    frames = moving(*_SIZE) if source is None else [read_exr(f.path) for f in expand(source)]
+    frames = moving(*SIZE) if source is None else [read_exr(f.path) for f in expand(source)]
     cuts = {CUT} if source is None else set()
     print(f"| frame | {' | '.join(COLUMNS)} |")
     print("|---" * (1 + len(COLUMNS)) + "|")

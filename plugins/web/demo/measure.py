@@ -18,6 +18,7 @@ import subprocess
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -45,7 +46,9 @@ _SOFTWARE_WEBGPU = (
 )
 _SECONDS = 3600  # that a sequence may take
 _EQUAL = 290  # dB, to the last bit
-_PLACED = re.compile(r"placed on \[(\w+)\]\. Number of nodes: (\d+)")
+# Lines of ONNX Runtime's log: a provider, then each of its nodes.
+_PROVIDER = re.compile(r" placed on \[(\w+)\]")
+_NODE = re.compile(r"VerifyEachNodeIsAssignedToAnEp\]\s+(\w+) \(")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,14 +158,16 @@ def in_chromium(folder: Path, provider: str = "wasm") -> Played:
         )
 
 
-def placed(folder: Path) -> dict[str, int]:
-    """How many of the graph's nodes, as ONNX Runtime has optimised it, each provider runs."""
-    found: dict[str, int] = {}
+def placed(folder: Path) -> dict[str, Counter[str]]:
+    """The nodes, by operator, that each provider runs of the graph as ONNX Runtime optimises it."""
+    found: dict[str, Counter[str]] = {}
     with _page(folder, "webgpu") as (_, page, address):
 
         def note(message: Any) -> None:
-            if told := _PLACED.search(message.text):
-                found[told[1]] = int(told[2])
+            if told := _PROVIDER.search(message.text):
+                found[told[1]] = Counter()
+            elif (told := _NODE.search(message.text)) and found:
+                found[next(reversed(found))][told[1]] += 1
 
         page.on("console", note)
         page.goto(f"{address}frames/sequence.json")
@@ -258,7 +263,9 @@ def main() -> None:
     for provider in ("wasm", "webgpu") if given.webgpu else ("wasm",):
         print(row(in_chromium(given.folder, provider), wanted), flush=True)
     if given.webgpu:
-        print("\nnodes by provider:", placed(given.folder))
+        for provider, nodes in placed(given.folder).items():
+            listed = ", ".join(f"{count} {name}" for name, count in nodes.most_common())
+            print(f"\n{provider} runs {nodes.total()} nodes: {listed}")
 
 
 if __name__ == "__main__":

@@ -64,7 +64,7 @@ def test_the_command_writes_nothing_that_was_refused(graph, tmp_path, monkeypatc
 
 
 def test_the_table_has_every_stage_and_pictures_are_drawn(graph, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(parity, "_SIZE", SIZE)
+    monkeypatch.setattr(parity, "SIZE", SIZE)
     parity.main(graph, source=None, model=None, pictures=tmp_path)
     head, _, *rows = capsys.readouterr().out.splitlines()
     assert head.strip("| ").split(" | ")[1:] == list(parity.COLUMNS)
