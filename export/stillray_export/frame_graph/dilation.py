@@ -35,7 +35,8 @@ def follow_nearer(motion_nchw: Tensor, depth_nchw: Tensor) -> Tensor:
     for number, (other, place) in enumerate(around):
         if number == 4:  # the pixel itself
             continue
-        nearer = (other < least) | ((other == least) & (place < first))
+        # the first of those as near; an Or would leave WebGPU, which has none
+        nearer = torch.where(other == least, place - first, other - least) < 0
         step = torch.where(nearer, float(number), step)
         first, least = torch.where(nearer, place, first), torch.where(nearer, other, least)
     hidden = least < depth * _NEARER
