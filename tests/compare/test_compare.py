@@ -196,6 +196,17 @@ def test_page_names_nothing_outside_of_itself(folder):
     assert "default-src 'none'" in text
 
 
+def test_whatever_the_page_looks_up_by_its_id_is_there_once(folder):
+    # a menu that bore the id of embedded data was found in its place, and the picture never came
+    for name in "ab":
+        write(folder / f"{name}.exr", render(0))
+    assert main(["compare", "a.exr", "b.exr", "-o", "page.html"]) == 0
+    text = (folder / "page.html").read_text(encoding="utf-8")
+    identities = re.findall(r'<[^<>]*\bid="([^"]+)"', text)
+    assert {"radiance-0-0", "radiance-0-1", "cube", "view"} <= set(identities)
+    assert len(set(identities)) == len(identities)
+
+
 def test_titles_and_labels_cannot_break_out_of_the_page(folder):
     for name in "ab":
         write(folder / f"{name}.exr", render(0))

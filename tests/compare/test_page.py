@@ -35,8 +35,12 @@ pytestmark = pytest.mark.skipif(
 
 # Two drawings: one that follows the change, and one that follows pixels unpacked meanwhile.
 SETTLE = """async () => {
+  const tooLate = performance.now() + 60_000;
   const turn = () => new Promise((done) => requestAnimationFrame(() => setTimeout(done, 0)));
-  do { await turn(); await turn(); }
+  do {
+    await turn(); await turn();
+    if (performance.now() > tooLate) throw new Error("the pictures are not there after a minute");
+  }
   while (document.getElementById("stage").getAttribute("aria-busy") === "true");
 }"""
 # by way of a copy: the page's own canvas stays what it is
@@ -557,6 +561,8 @@ def test_sequence_shows_its_frames_and_their_figures(files, open_page):
         viewer.settle()
         expected = shown(files.images["noisy"][4, 2] * number, viewer.stops())
         np.testing.assert_allclose(viewer.colour(*point), expected, atol=1)
+        beside = shown(files.images["clean"][20, 40] * number, viewer.stops())
+        np.testing.assert_allclose(viewer.colour(*viewer.point(20, 40)), beside, atol=1)
         assert slider.get_attribute("aria-valuetext") == f"frame {number} ({index + 1} of 3)"
     assert viewer.page.get_by_role("radio", name="Mean of 2 frames").is_checked()
     psnr = [

@@ -105,7 +105,7 @@ def write_page(
             means = scores.means(measured)
             transform = aces_view()
             if transform is not None:
-                _embed(out, "transform", transform.table)
+                _embed(out, "cube", transform.table)
             out.write(tail(_data(sources, frames, measured, means, size, region)))
         size_bytes = temporary.stat().st_size
     return Summary(size_bytes=size_bytes, values=means)

@@ -65,7 +65,7 @@ function makeStore(width, height, isNeeded, whenDecoded, whenFailed) {
     try {
       const bytes = await inflate(name);
       const kind = name.split("-")[0];
-      const unpack = { radiance: unpackRadiance, transform: (plain) => plain }[kind] ?? unpackMap;
+      const unpack = { radiance: unpackRadiance, cube: (plain) => plain }[kind] ?? unpackMap;
       const pixels = unpack(bytes, width, height);
       ready.set(name, pixels);
       held += pixels.byteLength;

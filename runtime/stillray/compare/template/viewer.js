@@ -43,7 +43,7 @@ const fillPixel = makePixelTable(
 
 // ---- pictures -------------------------------------------------------------------------------
 
-const isNeeded = (name) => name === "transform" || name.split("-")[1] === String(state.frame);
+const isNeeded = (name) => name === "cube" || name.split("-")[1] === String(state.frame);
 const get = makeStore(width, height, isNeeded, schedule, (error) => {
   console.error(error);
   say(
@@ -77,7 +77,7 @@ function isThere(image) {
 let cube = null;
 function display() {
   if (state.transform === "aces" && !cube) {
-    const bytes = get("transform");
+    const bytes = get("cube");
     if (!bytes) return null;
     cube = makeCube(bytes, data.transform);
   }
