@@ -3,7 +3,14 @@
 import pytest
 
 from stillray.errors import InputError
-from stillray.io.file_sequence import expand, map_companions, numbered, refuse_overwriting, select
+from stillray.io.file_sequence import (
+    expand,
+    map_companions,
+    map_outputs,
+    numbered,
+    refuse_overwriting,
+    select,
+)
 
 
 def touch(folder, *names):
@@ -187,4 +194,13 @@ def test_an_output_that_is_no_pattern_says_how_a_folder_is_made(tmp_path):
     touch(tmp_path, "a.1.exr", "a.2.exr")
     frames = expand(tmp_path / "a.#.exr")
     with pytest.raises(InputError, match="or be a folder, got clean; a folder clean/ is made"):
-        map_companions("clean", frames, name="output")
+        map_outputs("clean", frames)
+
+
+def test_an_output_is_no_glob_and_may_have_brackets(tmp_path):
+    touch(tmp_path, "a.1.exr", "a.2.exr")
+    frames = expand(tmp_path / "a.#.exr")
+    with pytest.raises(InputError, match=r"output must name what is to be written, with ####"):
+        map_outputs(tmp_path / "clean.*.exr", frames)
+    found = map_outputs(tmp_path / "clean [new].##.exr", frames)
+    assert [path.name for path in found] == ["clean [new].01.exr", "clean [new].02.exr"]

@@ -13,6 +13,7 @@ from stillray.io.file_sequence import (
     NumberedFile,
     expand,
     map_companions,
+    map_outputs,
     names_folder,
     number_files,
     refuse_overwriting,
@@ -135,7 +136,7 @@ def plan_shot(
     there = expand(sources[0]) if len(sources) == 1 else _listed(sources)
     numbers = None if selection.frames is None else parse_frames(selection.frames)
     wanted = select(there, numbers, on_missing=selection.on_missing)
-    outputs = dict(zip(wanted, map_companions(output, wanted, name="output"), strict=True))
+    outputs = dict(zip(wanted, map_outputs(output, wanted), strict=True))
     files = _with_lead_in(wanted, there, selection.warm_up)
     features = {
         role: map_companions(pattern, files, name=role)

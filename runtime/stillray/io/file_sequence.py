@@ -184,13 +184,43 @@ def map_companions(
     InputError
         A placeholder is missing or has no number to take, or a glob lacks a frame.
     """
-    if Path(pattern).is_dir() or names_folder(pattern):
-        return [Path(pattern) / frame.path.name for frame in frames]
-    if is_glob(pattern):
+    if is_glob(pattern) and not Path(pattern).is_dir():
         there = {file.number: file.path for file in expand(pattern)}
         if missing := [frame for frame in frames if frame.number not in there]:
             raise InputError(f"{name} must have a file for every frame, none for {missing[0].path}")
         return [there[frame.number] for frame in frames]
+    return _named_after(pattern, frames, name)
+
+
+def map_outputs(pattern: str | os.PathLike[str], frames: Sequence[NumberedFile]) -> list[Path]:
+    """The file to write for every frame; brackets are part of a name, as nothing is looked up.
+
+    Parameters
+    ----------
+    pattern
+        As for `map_companions`, but no glob.
+    frames
+        From `expand`.
+
+    Raises
+    ------
+    InputError
+        The pattern has ``*`` or ``?``, or lacks a placeholder, or has no number to take.
+    """
+    if set("*?") & set(os.fspath(pattern)):
+        raise InputError(
+            f"output must name what is to be written, with #### for a frame's number, or a folder, "
+            f"got {pattern}"
+        )
+    return _named_after(pattern, frames, "output")
+
+
+def _named_after(
+    pattern: str | os.PathLike[str], frames: Sequence[NumberedFile], name: str
+) -> list[Path]:
+    """In a folder by the frames' own names, or by a pattern that takes their numbers."""
+    if Path(pattern).is_dir() or names_folder(pattern):
+        return [Path(pattern) / frame.path.name for frame in frames]
     if frames[0].number is None:
         if has_placeholder(pattern):
             raise InputError(
