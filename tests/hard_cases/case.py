@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,9 @@ from tests.conftest import clean_color, make_frame, remembered
 
 HEIGHT, WIDTH = 24, 33
 ROUNDING = 1e-4  # float32 sums of a window, a division and a multiplication by albedo
+
+
+Measure = Callable[[stillray.Denoiser], float | Iterator[float]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +33,8 @@ class Case:
     limit
         Largest figure that passes; a NaN never does.
     measure
-        From a denoiser without a past to the figure.
+        From a denoiser without a past to the figure, or to one figure after the other, of which the
+        worst counts.
     falls_short
         Models that do not keep the limit, and why: their tests are expected to fail.
     """
@@ -39,20 +43,30 @@ class Case:
     what: str
     holds: str
     limit: float
-    measure: Callable[[stillray.Denoiser], float]
+    measure: Measure
     falls_short: dict[str, str]
+
+    def figures(self, denoiser: stillray.Denoiser) -> Iterator[float]:
+        """What is measured, part by part: who needs no more may stop."""
+        measured = self.measure(denoiser)
+        if isinstance(measured, Iterator):
+            yield from measured
+        else:
+            yield measured
+
+    def worst(self, denoiser: stillray.Denoiser) -> float:
+        """The figure that counts; NaN where any is."""
+        return float(np.max(list(self.figures(denoiser))))
 
     def passes(self, figure: float) -> bool:
         """Whether a measured figure is within the limit."""
         return figure <= self.limit
 
 
-def case(
-    what: str, holds: str, limit: float, **falls_short: str
-) -> Callable[[Callable[[stillray.Denoiser], float]], Case]:
+def case(what: str, holds: str, limit: float, **falls_short: str) -> Callable[[Measure], Case]:
     """Make a case of a function that measures one; it lends its name."""
 
-    def made(measure: Callable[[stillray.Denoiser], float]) -> Case:
+    def made(measure: Measure) -> Case:
         return Case(
             name=measure.__name__,
             what=what,

@@ -17,5 +17,5 @@ def check(case: Case, denoiser: stillray.Denoiser, request: pytest.FixtureReques
         pytest.skip(f"set {ON_DEMAND}=1")
     if why := case.falls_short.get(denoiser.model.name):
         request.applymarker(pytest.mark.xfail(reason=why, strict=True))
-    figure = case.measure(denoiser)
-    assert case.passes(figure), f"{case.holds}: {figure:.4g}, must be at most {case.limit:g}"
+    for figure in case.figures(denoiser):  # the first beyond the limit decides
+        assert case.passes(figure), f"{case.holds}: {figure:.4g}, must be at most {case.limit:g}"
