@@ -27,14 +27,19 @@ SMALLER = {
             "decoder_blocks": (1,),
             "concatenate": (True,),
         },
-        {"kernel_sizes": (3,), "finest_neighbours": (2,)},
+        {
+            "kernel_sizes": (3,),
+            "finest_neighbours": (2,),
+            "finest_filters": (2, 1),
+            "filter_features": 2,
+        },
     ),
     "kpyr-5s": (
         {"widths": (8,), "encoder_blocks": (1,), "decoder_blocks": (), "concatenate": ()},
         {},
     ),
     "nbg-2x3": ({}, {}),
-    "wskp-mr": ({}, {}),
+    "wskp-mr": ({}, {"kernel_sizes": (5,)}),
 }
 
 

@@ -83,7 +83,9 @@ def _toon(color: Color, *, shiny: bool) -> Material:
 
 
 def _glowing(color: Color, strength: float) -> Material:
-    return Material("glow", (0, 0, 0), Emission_Color=(*color, 1), Emission_Strength=strength)
+    made = Material("glow", (0, 0, 0), Emission_Strength=strength)
+    made.surface.inputs["Emission Color"].default_value = (*color, 1)
+    return made
 
 
 def _alley(drawn: Random, tints: list[float]) -> None:
