@@ -1,10 +1,12 @@
 """Calls as an engine makes them: ended inside a frame, with alpha, in other encodings and types."""
 
 import threading
+import time
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
+import onnxruntime
 import pytest
 
 import stillray
@@ -14,6 +16,7 @@ from stillray.frame import Frame
 from stillray.models import session
 from stillray.pipeline import denoiser as pipeline
 from stillray.profiling.synthetic import swing
+from stillray_training.cancel_latency import UNLISTED, gaps, stream
 from tests.conftest import make_frame
 
 SHAPE = 70, 96
@@ -56,28 +59,38 @@ def broken(frame):
     return replace(frame, **buffers)
 
 
-@pytest.mark.parametrize("what", ["broken", "srgb", "layers"])
+def with_alpha(frame):
+    return replace(frame, alpha=np.linspace(0, 1, SHAPE[0] * SHAPE[1]).reshape(SHAPE))
+
+
+@pytest.mark.parametrize("what", ["broken", "srgb", "layers", "alpha", "munet-x2", "online"])
 def test_a_frame_can_be_ended_at_every_one_of_many_looks(what, in_strips, monkeypatch):
     """No part of a frame goes as a whole: of a large one it would take long."""
     # a network is looked at as long as it runs: on a busy machine once more or less each time
     monkeypatch.setattr(session, "INTERVAL", 60.0)
-    first, second = (broken(frame) if what == "broken" else frame for frame in swing(*SHAPE))
+    model = what if what in UNLISTED else "fast"
+    change = {"broken": broken, "alpha": with_alpha}.get(what, lambda frame: frame)
+    options = {
+        "srgb": {"encoding": "srgb"},
+        "alpha": {"denoise_alpha": True, "dtype": "float16"},
+    }.get(what, {})
 
-    def denoise(denoiser, frame, **options):
+    def denoise(denoiser, frame, **more):
         if what == "layers":
-            return denoiser.denoise_layers(frame, {"half": frame.color / 2}, **options)[0]
-        return denoiser.denoise(frame, encoding="srgb" if what == "srgb" else "hdr", **options)
+            return denoiser.denoise_layers(frame, {"half": frame.color / 2}, **more)[0]
+        return denoiser.denoise(frame, **options, **more)
 
-    with stillray.Denoiser("fast", threads=1) as plain:
+    with stillray.Denoiser(model, threads=1) as plain:
+        first, second = map(change, stream(plain, [size * plain.scale for size in SHAPE]))
         denoise(plain, first)
         usual = []
         denoise(plain, second, progress=usual.append)
-    with in_strips("fast", 1) as denoiser:
+    with in_strips(model, 1) as denoiser:
         denoise(denoiser, first)
         state, looks = denoiser.state, []
         expected = denoise(denoiser, second, progress=looks.append)
         assert len(looks) > 3 * len(usual)
-        for end in range(0, len(looks) - 1, 7):
+        for end in range(0, len(looks) - 1, 7 if model == "fast" else len(looks) // 4):
             denoiser.state, seen = state, iter([True] * end)
             with pytest.raises(stillray.Cancelled):
                 denoise(denoiser, second, progress=lambda _, seen=seen: next(seen, False))
@@ -121,6 +134,17 @@ def test_progress_goes_from_nothing_to_all_in_the_caller_s_thread(threads, in_st
     assert threads_of_looks == {threading.get_ident()}
 
 
+@pytest.mark.parametrize("model", ["fast", "munet-x2"])
+def test_gaps_are_measured_of_models_that_take_more_than_others(model):
+    processor, wall, stage = gaps(model, (48, 64), repeats=1)
+    assert 0 < processor <= wall * 1.5
+    with stillray.Denoiser(model, threads=1) as denoiser:
+        first, second = stream(denoiser, (48, 64))
+        denoiser.denoise(first)
+        denoiser.denoise(second)
+        assert stage in {"none", *denoiser.last_timings}
+
+
 def test_what_progress_raises_comes_out_and_the_denoiser_goes_on():
     frame = make_frame(*SHAPE)
     with stillray.Denoiser("fast", threads=2) as denoiser:
@@ -153,6 +177,44 @@ def test_a_network_that_nobody_wants_any_more_is_not_waited_for(monkeypatch):
         finally:
             release.set()
         assert np.isfinite(denoiser.denoise(frame)).all()
+
+
+def test_a_step_of_learning_that_is_being_opened_is_not_waited_for(monkeypatch):
+    entered, release = threading.Event(), threading.Event()
+    opened = onnxruntime.InferenceSession
+
+    def slow(source, *arguments, **options):
+        if isinstance(source, str):  # the network comes as the bytes that were checked
+            entered.set()
+            assert release.wait(60)
+        return opened(source, *arguments, **options)
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", slow)
+    with stillray.Denoiser("online", threads=1) as denoiser:
+        frame, _ = stream(denoiser, (24, 20))
+        try:
+            with pytest.raises(stillray.Cancelled):
+                denoiser.denoise(frame, progress=lambda _: not entered.is_set())
+        finally:
+            release.set()
+        assert denoiser.state is None
+        denoiser.denoise(frame)
+        assert denoiser.state.learned.steps == 1
+
+
+def test_long_work_of_other_threads_ends_with_the_frame():
+    strips, ended = Strips(2, pixels=10), []
+
+    def work(rows):
+        for _ in range(500):
+            time.sleep(0.01)
+            strips.watch.look()
+        ended.append(rows)
+
+    with strips.watch.over(lambda _: False, lambda: 0.0), pytest.raises(stillray.Cancelled):
+        strips.run(work, 16, 10)
+    assert ended == []
+    strips.close()
 
 
 def test_alpha_is_kept_or_filtered():

@@ -1,4 +1,4 @@
-"""Frames carried on to a size that a network's levels divide."""
+"""Frames carried on beyond their borders: to whole blocks, and to where windows look."""
 
 from __future__ import annotations
 
@@ -29,3 +29,37 @@ def extended(image: np.ndarray, out: np.ndarray, strips: Strips) -> np.ndarray:
 
     strips.run(work, *out.shape[:2])
     return out
+
+
+def surround(planes: np.ndarray, out: np.ndarray, reach: int, rows: slice) -> None:
+    """Some rows of planes that are carried on by their outermost pixels, on every side.
+
+    Parameters
+    ----------
+    planes : (..., h, w) float32
+    out : (..., H, W) float32
+        Written in those rows.
+    reach
+        Where the planes begin in ``out``: rows from its top, columns from its left.
+    rows
+        Of ``out``.
+    """
+    height, width = planes.shape[-2:]
+    source = np.clip(np.arange(rows.start, rows.stop) - reach, 0, height - 1)
+    target, end = out[..., rows, :], reach + width
+    target[..., reach:end] = planes[..., source, :]
+    target[..., :reach] = target[..., reach : reach + 1]
+    target[..., end:] = target[..., end - 1 : end]
+
+
+def cut(image: np.ndarray, shape: tuple[int, int], strips: Strips) -> np.ndarray:
+    """`extended` undone: the top left of an image ``(H, W, c)``, itself if it is that already."""
+    if image.shape[:2] == shape:
+        return image
+    result = np.empty((*shape, *image.shape[2:]), np.float32)
+
+    def work(rows: slice) -> None:
+        result[rows] = image[rows, : shape[1]]
+
+    strips.run(work, *shape)
+    return result

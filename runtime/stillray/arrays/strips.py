@@ -44,7 +44,7 @@ class Strips:
     """
 
     def __init__(self, threads: int, *, pixels: int = STRIP_PIXELS) -> None:
-        #: Looked at between strips.
+        #: Looked at between strips; within one, by work that takes long.
         self.watch = Watch()
         self._pixels = pixels
         self._pool = ThreadPoolExecutor(threads, "stillray") if threads > 1 else None
@@ -105,6 +105,7 @@ class Strips:
                 self.watch.look()
             return [future.result() for future in futures]
         except BaseException:
+            self.watch.end()
             for future in futures:
                 future.cancel()
             wait(futures)  # strips in work write to arrays that the next frame takes
@@ -160,6 +161,17 @@ def interleave(planes: np.ndarray, out: np.ndarray) -> np.ndarray:
     else:
         cv2.merge(list(planes), dst=out)
     return out
+
+
+def without_fourth(image: np.ndarray, strips: Strips) -> np.ndarray:
+    """The first three channels of ``(h, w, 4)`` float32, in an array of their own."""
+    result = np.empty((*image.shape[:2], 3), np.float32)
+
+    def work(rows: slice) -> None:
+        result[rows] = image[rows, :, :3]
+
+    strips.run(work, *image.shape[:2])
+    return result
 
 
 def pixels_of(image: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -19,6 +20,7 @@ class Watch:
     def __init__(self) -> None:
         self._ask: Progress | None = None
         self._share: Callable[[], float] = lambda: 0.0
+        self._caller, self._ended = 0, False
 
     @property
     def active(self) -> bool:
@@ -37,13 +39,18 @@ class Watch:
             Gives the share that is done.
         """
         self._ask, self._share = ask, share
+        self._caller, self._ended = threading.get_ident(), False
         try:
             yield
         finally:
             self._ask = None
 
+    def end(self) -> None:
+        """Work of other threads is not wanted any more: their next look ends it."""
+        self._ended = True
+
     def look(self) -> None:
-        """Tell the caller how far it is.
+        """Tell the caller how far it is; on another thread, learn whether it still matters.
 
         Raises
         ------
@@ -51,6 +58,10 @@ class Watch:
             The caller wants no more of it.
         """
         if self._ask is None:
+            return
+        if threading.get_ident() != self._caller:
+            if self._ended:
+                raise Cancelled("the frame was ended on another thread")
             return
         answer = self._ask(self._share())
         if answer is not None and not answer:  # False of Python, NumPy or C

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillray.arrays.strips import Strips
+from stillray.arrays.extend import surround
+from stillray.arrays.strips import STRIP_PIXELS, Strips
 
 WINDOW = 11  # pixels, odd (below eq. 8)
 EPSILON = np.float32(1e-4)  # of eq. 9, in squared bands
@@ -72,13 +73,19 @@ def cross_bilateral(
     Returns
     -------
     (3, h, w) float32
+        In the workspace of this thread.
     """
     height, width = estimates.valid.shape
-    sides = [(_REACH, _REACH)] * 2
-    guides = np.pad(estimates.guides, [(0, 0), (0, 0), *sides], mode="edge")
-    values = np.pad(estimates.values, [(0, 0), (0, 0), *sides], mode="edge")
-    out = np.empty((3, height, width), np.float32)
+    size = height + 2 * _REACH, width + 2 * _REACH
+    workspace = strips.workspace
+    guides = workspace.array("surrounded bands", (*estimates.guides.shape[:2], *size))
+    values = workspace.array("surrounded values", (*estimates.values.shape[:2], *size))
+    out = workspace.array("combined", (3, height, width))
     offsets = taps(checkered)
+
+    def carry_on(rows: slice) -> None:
+        surround(estimates.guides, guides, _REACH, rows)
+        surround(estimates.values, values, _REACH, rows)
 
     def work(rows: slice) -> None:
         theta = parameters[:, rows, :width]
@@ -92,6 +99,7 @@ def cross_bilateral(
         past = estimates.past[:, rows]
         out[:, rows] = past + share * (now - past)
 
+    strips.run(carry_on, *size, pixels=STRIP_PIXELS // 4)
     strips.run(work, height, width, pixels=_STRIP_PIXELS)
     return out
 

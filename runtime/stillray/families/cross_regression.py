@@ -12,7 +12,9 @@ from functools import partial
 import cv2
 import numpy as np
 
-from stillray.arrays.strips import Strips
+from stillray.arrays.extend import surround
+from stillray.arrays.strips import STRIP_PIXELS, Strips, with_halo
+from stillray.arrays.watch import Watch
 
 WINDOW = 17  # pixels, odd (section 3)
 SPACING = 4  # pixels from center to center: one pixel in 16 (section 3)
@@ -34,9 +36,7 @@ _ROWS = 4
 _COLORS = 3
 
 
-def pilots(
-    first: np.ndarray, second: np.ndarray, guides: np.ndarray, strips: Strips
-) -> tuple[np.ndarray, np.ndarray]:
+def pilots(first: np.ndarray, second: np.ndarray, guides: np.ndarray, strips: Strips) -> np.ndarray:
     """Both pilot estimates (eq. 3 to 7).
 
     A pilot is limited to the range of what it was fitted to, within the window around a pixel: a
@@ -53,39 +53,76 @@ def pilots(
 
     Returns
     -------
-    two (3, h, w) float32
-        What the first half explains of the second, and the other way round.
+    (2, 3, h, w) float32
+        What the first half explains of the second, and the other way round; in the workspace of
+        this thread.
     """
+    halves = (first, second)
     height, width = first.shape[1:]
-    # centers lie at 2, 6, 10, ...: beyond the last row or column they stand for it
     rows, columns = (-(-size // SPACING) for size in (height, width))
-    sides = [(0, 0), (_REACH, _REACH + rows * SPACING - height + 1)]
-    sides.append((_REACH, _REACH + columns * SPACING - width + 1))
-    edge = partial(np.pad, pad_width=sides, mode="edge")
-    inside = np.pad(np.ones((1, height, width), np.float32), sides)
-    shared = np.concatenate([edge(guides), inside])
-    padded = [np.concatenate([edge(half), edge(deviation(half)[None])]) for half in (first, second)]
-    targets = [edge(second), edge(first)]
+    padded, shared = _surrounded(halves, guides, strips)
 
     def work(blocks: slice) -> list[np.ndarray]:
         return [
-            _block(padded, targets, shared, range(top, min(top + _ROWS, rows)), columns)
+            _block(padded, shared, range(top, min(top + _ROWS, rows)), columns, strips.watch)
             for top in range(blocks.start * _ROWS, blocks.stop * _ROWS, _ROWS)
         ]
 
     count = -(-rows // _ROWS)
-    found = [part for parts in strips.run(work, count, _ROWS * _PIXELS * columns) for part in parts]
-    total = np.zeros((2, _COLORS + 1, *shared.shape[1:]), np.float32)
-    for index, part in enumerate(found):
-        top = SPACING * _ROWS * index + SPACING // 2
-        total[:, :, top : top + part.shape[2]] += part
-    total = total[..., _REACH : _REACH + height, _REACH : _REACH + width]
-    results = []
-    for sums, own, other in zip(total, (first, second), (second, first), strict=True):
-        sums[:_COLORS] += ALONE * own
-        estimate = np.ascontiguousarray(sums[:_COLORS] / (sums[_COLORS] + ALONE))
-        results.append(_limited(estimate, other))
-    return results[0], results[1]
+    parts = [part for some in strips.run(work, count, _ROWS * _PIXELS * columns) for part in some]
+    found = strips.workspace.array("pilots", (2, *first.shape))
+
+    def finish(rows: slice) -> None:
+        sums = _summed(parts, rows, width)
+        near, inside = with_halo(rows, _REACH, height)
+        for total, own, other, estimate in zip(sums, halves, halves[::-1], found, strict=True):
+            total[:_COLORS] += ALONE * own[:, rows]
+            total[_COLORS] += ALONE
+            np.divide(total[:_COLORS], total[_COLORS], out=estimate[:, rows])
+            _limit(estimate[:, rows], other[:, near], inside)
+
+    strips.run(finish, height, width, pixels=STRIP_PIXELS // 4)
+    return found
+
+
+def _surrounded(
+    halves: tuple[np.ndarray, np.ndarray], guides: np.ndarray, strips: Strips
+) -> tuple[np.ndarray, np.ndarray]:
+    """What windows are taken from: as far as those of the centers reach, on every side.
+
+    Centers lie at 2, 6, 10, ...: beyond the last row or column they stand for it.
+
+    Returns
+    -------
+    padded : (2, 4, H, W) float32
+        Both halves, and the `deviation` of each.
+    shared : (g + 1, H, W) float32
+        Guides, and 1 within the frame, 0 around it.
+    """
+    height, width = halves[0].shape[1:]
+    noise = strips.workspace.array("deviations", (2, 1, height, width))
+
+    def estimate(rows: slice) -> None:
+        near, inside = with_halo(rows, 1, height)
+        for half, target in zip(halves, noise, strict=True):
+            target[0, rows] = deviation(half[:, near])[inside]
+
+    strips.run(estimate, height, width)
+    size = [2 * _REACH + 1 + -(-extent // SPACING) * SPACING for extent in (height, width)]
+    padded = strips.workspace.array("surrounded halves", (2, _COLORS + 1, *size))
+    shared = strips.workspace.array("surrounded guides", (len(guides) + 1, *size))
+
+    def carry_on(rows: slice) -> None:
+        for half, deviated, target in zip(halves, noise, padded, strict=True):
+            surround(half, target[:_COLORS], _REACH, rows)
+            surround(deviated, target[_COLORS:], _REACH, rows)
+        surround(guides, shared[:-1], _REACH, rows)
+        shared[-1, rows] = 0
+        within = slice(max(rows.start, _REACH), min(rows.stop, _REACH + height))
+        shared[-1, within, _REACH : _REACH + width] = 1
+
+    strips.run(carry_on, size[0], size[1], pixels=STRIP_PIXELS // 4)
+    return padded, shared
 
 
 def deviation(log_radiance: np.ndarray) -> np.ndarray:
@@ -110,11 +147,7 @@ def deviation(log_radiance: np.ndarray) -> np.ndarray:
 
 
 def _block(
-    padded: list[np.ndarray],
-    targets: list[np.ndarray],
-    shared: np.ndarray,
-    rows: range,
-    columns: int,
+    padded: np.ndarray, shared: np.ndarray, rows: range, columns: int, watch: Watch
 ) -> np.ndarray:
     """Sums of eq. 5 over some rows of centers: ``(2, 4, h, w)``, of both halves."""
     height = SPACING * (len(rows) - 1) + WINDOW
@@ -122,6 +155,7 @@ def _block(
     for row in rows:
         top = SPACING * (row - rows.start)
         for left in range(0, columns, _CENTERS):
+            watch.look()  # a block takes long, and cutting it would add up in another order
             count = min(_CENTERS, columns - left)
             take = partial(_windows, row=row, left=left, count=count)
             common = take(shared)
@@ -130,13 +164,27 @@ def _block(
             variables[:, 0] = 1
             middle = common[..., _PIXELS // 2, None]
             np.subtract(common[:, :-1], middle[:, :-1], out=variables[:, 1 + _COLORS :])
-            for half, planes in enumerate(padded):
-                weights = _explain(take(planes), common[:, -1], variables)
-                lines = _fit(variables, weights, take(targets[half]))
+            seen = [take(planes) for planes in padded]
+            for half, planes in enumerate(seen):
+                weights = _explain(planes, common[:, -1], variables)
+                lines = _fit(variables, weights, seen[1 - half][:, :_COLORS])
                 said = lines @ variables
                 said *= weights[:, None]
                 where = sums[half, :, top : top + WINDOW]
                 _add_windows(where, said, weights, left)
+    return sums
+
+
+def _summed(parts: list[np.ndarray], rows: slice, width: int) -> np.ndarray:
+    """Sums of eq. 5 over all blocks, of rows of a frame: ``(2, 4, rows, width)``."""
+    sums = np.zeros((2, _COLORS + 1, rows.stop - rows.start, width), np.float32)
+    for index, part in enumerate(parts):  # from the top, whatever the rows
+        top = SPACING * _ROWS * index + SPACING // 2 - _REACH
+        first, last = max(rows.start, top), min(rows.stop, top + part.shape[2])
+        if first < last:
+            sums[:, :, first - rows.start : last - rows.start] += part[
+                :, :, first - top : last - top, _REACH : _REACH + width
+            ]
     return sums
 
 
@@ -198,10 +246,19 @@ def _add_windows(sums: np.ndarray, said: np.ndarray, weights: np.ndarray, left: 
         sums[_COLORS, :, at] += weights[:, column]
 
 
-def _limited(estimate: np.ndarray, explained: np.ndarray) -> np.ndarray:
-    """A pilot within the range of what it was fitted to, around each pixel."""
+def _limit(estimate: np.ndarray, explained: np.ndarray, inside: slice) -> None:
+    """Bring rows of a pilot within the range of what it was fitted to, around each pixel.
+
+    Parameters
+    ----------
+    estimate : (3, rows, w) float32
+        Changed.
+    explained : (3, rows, w) float32
+        With the rows that windows look at beyond those.
+    inside
+        Of the rows of ``explained``, those of ``estimate``.
+    """
     around = np.ones((WINDOW, WINDOW), np.uint8)
     for plane, target in zip(estimate, explained, strict=True):
-        cv2.min(plane, cv2.dilate(target, around), dst=plane)
-        cv2.max(plane, cv2.erode(target, around), dst=plane)
-    return estimate
+        cv2.min(plane, cv2.dilate(target, around)[inside], dst=plane)
+        cv2.max(plane, cv2.erode(target, around)[inside], dst=plane)

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stillray.arrays.extend import cut
+from stillray.arrays.strips import STRIP_PIXELS, Strips, with_halo
 from stillray.families.contract import Context, Request, State, Step, Traits
 from stillray.families.cost import feature_filters_cost
 from stillray.families.feature_reconstruction import (
@@ -28,7 +30,7 @@ from stillray.model_spec.loader import BranchNetwork, FeatureFilters, ModelSpec
 from stillray.stages import features
 from stillray.stages.accumulate import bounded
 from stillray.stages.plan import Plan, Stage
-from stillray.stages.repair import Buffers, repair_feature
+from stillray.stages.repair import Buffers, all_within, repair_feature
 from stillray.timing import timed
 
 #: Frames that a frame's history is taken to go back.
@@ -140,7 +142,7 @@ class FeatureFiltersModel:
         guides = {name: guide for name, guide in given.items() if guide is not None}
         with timed(context.timings, "inspect"):
             whole = all(context.strips.run(buffers.in_range, *frame.shape))
-            whole &= all(bool(guide.min() >= 0 and guide.max() <= 1) for guide in guides.values())
+            whole &= all(all_within(guide, 0, 1, context.strips) for guide in guides.values())
         if not whole:
             with timed(context.timings, "repair"):
                 buffers = buffers.repaired(context.strips)
@@ -198,38 +200,32 @@ class FeatureFiltersModel:
             outputs = list(context.engine.run("network", {"features": planes}).values())
         with timed(context.timings, "reconstruct"):
             image, kept = reconstruct(seen.frame, seen.past, outputs, self.rules, context.strips)
-            height, width = seen.grid.shape
-            image = np.ascontiguousarray(image[:height, :width])
+            image = cut(image, seen.grid.shape, context.strips)
 
         def finish() -> State:
             temporal: Remembered | None = None
             if plan.runs("remember"):
                 with timed(context.timings, "remember"):
-                    temporal = _remember(seen, image, kept)
+                    temporal = _remember(seen, image, kept, context.strips)
             return State(shape=plan.shape, temporal=temporal)
 
         return Step(image=image, finish=finish)
 
     def _see(self, plan: UpscalePlan, context: Context) -> _Seen:
         """A frame and its past at the picture's pixels."""
-        buffers, timings = plan.buffers, context.timings
+        buffers, timings, strips = plan.buffers, context.timings, context.strips
         grid = Grid.of(plan.shape, self.scale, self.alignment, plan.jitter)
-        every = slice(0, grid.full[0])
 
         def taken(image: np.ndarray | None) -> np.ndarray | None:
-            return None if image is None else grid.take(image, every)
+            return None if image is None else grid.taken(image, strips)
 
         with timed(timings, "expose"):
-            transfer = self.spec.transfer
-            exposure = features.frame_exposure(features.luminance(buffers.color), transfer)
-            if plan.past is not None:
-                exposure = features.steady_exposure(exposure, plan.past.exposure, transfer)
-            color = bounded(buffers.color, exposure, transfer, self.spec.temporal)
+            exposure, color = self._exposed(plan, context)
         with timed(timings, "enlarge"):
             black = np.zeros((*grid.full, 3), np.float32)
             albedo, specular = taken(buffers.albedo), taken(plan.guides.get("specular_albedo"))
             frame = Enlarged(
-                color=grid.take(color, every),
+                color=grid.taken(color, strips),
                 albedo=black if albedo is None else albedo,
                 specular=black if specular is None else specular,
             )
@@ -242,9 +238,29 @@ class FeatureFiltersModel:
         past: Past | None = None
         if plan.past is not None and buffers.motion is not None:
             with timed(timings, "warp"):
-                motion = dilated(buffers.motion, buffers.depth, context.strips)
-                past = warped(plan.past, grid, motion)
+                motion = dilated(buffers.motion, buffers.depth, strips)
+                past = warped(plan.past, grid, motion, strips)
         return _Seen(grid, frame, surfaces, past, exposure)
+
+    def _exposed(self, plan: UpscalePlan, context: Context) -> tuple[float, np.ndarray]:
+        """The exposure, and the color without what stands far above its surroundings."""
+        given, transfer, strips = plan.buffers.color, self.spec.transfer, context.strips
+        light = context.workspace.array("light", plan.shape)
+        color = context.workspace.array("bounded", given.shape)
+
+        def luminance(rows: slice) -> None:
+            features.luminance(given[rows], out=light[rows])
+
+        def bound(rows: slice) -> None:
+            near, inside = with_halo(rows, transfer.local_size // 2, plan.shape[0])
+            color[rows] = bounded(given[near], exposure, transfer, self.spec.temporal)[inside]
+
+        strips.run(luminance, *plan.shape)
+        exposure = features.frame_exposure(light, transfer)
+        if plan.past is not None:
+            exposure = features.steady_exposure(exposure, plan.past.exposure, transfer)
+        strips.run(bound, *plan.shape)
+        return exposure, color
 
     def _encode(self, seen: _Seen, context: Context) -> np.ndarray:
         """The network's input, ``(1, planes, H, W)``."""
@@ -291,7 +307,7 @@ def _past_of(
     return found, ""
 
 
-def warped(before: Remembered, grid: Grid, motion: np.ndarray) -> Past:
+def warped(before: Remembered, grid: Grid, motion: np.ndarray, strips: Strips) -> Past:
     """What is remembered, at the pixels of a grid; without samples where it lay outside.
 
     Parameters
@@ -302,22 +318,33 @@ def warped(before: Remembered, grid: Grid, motion: np.ndarray) -> Past:
         Of this frame.
     motion : (h, w, 2) float32
         See `stillray.families.target_grid.dilated`.
+    strips
+        Where the work runs.
     """
-    positions, inside = grid.past_positions(motion, slice(0, grid.full[0]))
     kept = before.accumulated
     remembered = (kept.light, kept.albedo, kept.specular, before.output)
-    images = [recalled(image, positions) for image in remembered]
-    for image in images:
-        image[~inside] = 0
+    images = [np.empty((*grid.full, 4), np.float32) for _ in remembered]
+
+    def work(rows: slice) -> None:
+        positions, inside = grid.past_positions(motion, rows)
+        for source, image in zip(remembered, images, strict=True):
+            image[rows] = recalled(source, positions)
+            image[rows][~inside] = 0
+
+    strips.run(work, *grid.full, pixels=STRIP_PIXELS // 2)
     return Past(Accumulated(*images[:3]), images[3])
 
 
-def _remember(seen: _Seen, image: np.ndarray, kept: Accumulated) -> Remembered:
+def _remember(seen: _Seen, image: np.ndarray, kept: Accumulated, strips: Strips) -> Remembered:
     height, width = seen.grid.shape
-    output = np.zeros((height, width, 4), np.float32)
-    output[..., :3] = image
-    if seen.surfaces.depth is not None:
-        output[..., 3] = log_depth(seen.surfaces.depth[:height, :width])
+    output, depth = np.empty((height, width, 4), np.float32), seen.surfaces.depth
+
+    def work(rows: slice) -> None:
+        output[rows, :, :3] = image[rows]
+        output[rows, :, 3] = 0 if depth is None else log_depth(depth[rows, :width])
+
+    strips.run(work, height, width)
     parts = (kept.light, kept.albedo, kept.specular)
-    cut = [np.ascontiguousarray(part[:height, :width]) for part in parts]
-    return Remembered(Accumulated(*cut), output, seen.exposure)
+    return Remembered(
+        Accumulated(*(cut(part, seen.grid.shape, strips) for part in parts)), output, seen.exposure
+    )

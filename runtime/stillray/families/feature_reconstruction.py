@@ -27,7 +27,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.resample import halve
-from stillray.arrays.strips import Strips, planes_of, with_halo
+from stillray.arrays.strips import STRIP_PIXELS, Strips, planes_of, with_halo
 from stillray.arrays.workspace import Workspace
 from stillray.families.depth_to_space import DepthToSpace
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
@@ -226,7 +226,7 @@ class _Reconstruction:
             gaussian(values, weights, out, workspace)
             finish(rows, out)
 
-        strips.run(work, height, width)
+        strips.run(work, height, width, pixels=STRIP_PIXELS // 2)
 
     def _fill_color(self, rows: slice, out: np.ndarray) -> None:
         out[:] = self._frame.color[rows].transpose(2, 0, 1)
@@ -303,13 +303,22 @@ class _Reconstruction:
                 for plane, target in zip(planes, level, strict=False):
                     target[rows] = halve(plane * share)
 
-        self._strips.run(work, height, width)
-        pools = []
-        for steps, level in enumerate(sums):
+        self._strips.run(work, height, width, pixels=STRIP_PIXELS // 8)
+        return [self._means(level, steps) for steps, level in enumerate(sums)]
+
+    def _means(self, sums: np.ndarray, steps: int) -> np.ndarray:
+        """Means of sums ``(10, h, w)``, halved so many times: ``(9, h >> steps, w >> steps)``."""
+        height, width = (size >> steps for size in sums.shape[1:])
+        means = np.empty((_PLANES, height, width), np.float32)
+
+        def work(rows: slice) -> None:
+            level = sums[:, rows.start << steps : rows.stop << steps]
             for _ in range(steps):
                 level = np.stack([halve(plane) for plane in level])
-            pools.append(level[:_PLANES] / level[_PLANES])
-        return pools
+            np.divide(level[:_PLANES], level[_PLANES], out=means[:, rows])
+
+        self._strips.run(work, height, width, pixels=max(STRIP_PIXELS >> 2 + 2 * steps, 1))
+        return means
 
     def _denoised(
         self, level: int, pool: np.ndarray, coarser: int | None, below: np.ndarray | None

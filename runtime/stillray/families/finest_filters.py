@@ -54,23 +54,24 @@ def filter_finest(
     inside = slice(margin, margin + height)
     count = layout.features.stop - layout.features.start
     # with zeros around: a pass looks beyond the border, where nothing weighs anything
-    source, other, features, norms = (
-        framed(
-            strips.workspace.array(name, (planes, height + 2 * margin, width + 2 * margin)),
-            inside,
-            margin,
-        )
+    source, other, features, norms = images = [
+        strips.workspace.array(name, (planes, height + 2 * margin, width + 2 * margin))
         for name, planes in (
             ("finest 0", 3),
             ("finest 1", 3),
             ("finest features", count),
             ("finest norms", 1),
         )
-    )
+    ]
     within = slice(margin, margin + width)
 
     def fill(rows: slice) -> None:
         at = slice(margin + rows.start, margin + rows.stop)
+        # the first and the last rows with those beyond them
+        top = at.start if rows.start else 0
+        bottom = at.stop if rows.stop < height else at.stop + margin
+        for image in images:
+            framed(image[:, top:bottom], slice(at.start - top, at.stop - top), margin)
         blend(rows, source[:, at, within])
         given = logits[layout.features, rows]
         np.clip(given, -np.float32(bound), np.float32(bound), out=features[:, at, within])

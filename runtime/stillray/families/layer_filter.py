@@ -164,8 +164,16 @@ class FilteredLayers:
     @cached_property
     def _sample(self) -> np.ndarray:
         """This frame's irradiance and what its samples weigh in new pixels, ``(4, h, w)``."""
-        sample = self._prepared.sample
-        return planes_of(self._prepared.history.mean) if sample is None else sample
+        sample, mean = self._prepared.sample, self._prepared.history.mean
+        if sample is not None:
+            return sample
+        planes = np.empty((4, *mean.shape[:2]), np.float32)
+
+        def work(rows: slice) -> None:
+            planes[:, rows] = planes_of(mean[rows])
+
+        self._strips.run(work, *mean.shape[:2])
+        return planes
 
     @property
     def _weight(self) -> np.ndarray:

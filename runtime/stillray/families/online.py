@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from stillray.arrays.strips import Strips, planes_of
+from stillray.arrays.extend import surround
+from stillray.arrays.strips import STRIP_PIXELS, Strips, planes_of, without_fourth
 from stillray.errors import InputError
 from stillray.families import filter_network
 from stillray.families.contract import Context, Engine, Request, State, Step, Traits
@@ -34,7 +35,7 @@ from stillray.model_spec.loader import CrossBilateral, FilterNetwork, ModelSpec
 from stillray.model_spec.network_weights import network_weights
 from stillray.stages import features
 from stillray.stages.plan import Plan, Stage
-from stillray.stages.repair import MAX_RADIANCE, Buffers, repair_radiance, within
+from stillray.stages.repair import MAX_RADIANCE, Buffers, all_within, repair_radiance
 from stillray.timing import timed
 
 _log = logging.getLogger("stillray")
@@ -98,7 +99,7 @@ class OnlineModel:
         buffers, second = Buffers.of(frame), frame.color_b
         with timed(context.timings, "inspect"):
             whole = all(context.strips.run(buffers.in_range, *frame.shape))
-            whole = whole and within(second, 0, MAX_RADIANCE)
+            whole = whole and all_within(second, 0, MAX_RADIANCE, context.strips)
         if not whole:
             with timed(context.timings, "repair"):
                 empty = frame.samples == 0 if isinstance(frame.samples, np.ndarray) else None
@@ -137,9 +138,9 @@ class OnlineModel:
         assert isinstance(plan, OnlinePlan)
         assert context.engine is not None
         engine = context.engine
-        height, width = shape = plan.second.shape[:2]
+        shape = (plan.second.shape[0], plan.second.shape[1])
         exposure, (first, second) = self._exposed(plan, context)
-        guides = _guide_planes(plan.buffers)
+        guides = _guide_planes(plan.buffers, context)
         with timed(context.timings, "regress"):
             both = self.pilots(first, second, guides, context.strips)
         warped = nothing(shape)
@@ -148,7 +149,7 @@ class OnlineModel:
                 options = self.spec.temporal
                 warped = warp(plan.past, plan.buffers, exposure, options, context)
         with timed(context.timings, "encode"):
-            planes = self._encode(both, guides, warped.output)
+            planes = self._encode((both, guides, warped.output), context)
         learned = plan.learned or Learned.begin(
             filter_network.join(engine.run("weights", {}), self._shapes)
         )
@@ -158,12 +159,13 @@ class OnlineModel:
         with timed(context.timings, "filter"):
             estimates = Estimates(
                 values=both,
-                guides=np.concatenate([both, guides.reshape(2, _COLORS, height, width)]),
+                guides=_tell_apart(both, guides, context),
                 past=warped.output,
                 valid=warped.pilots[-1],
             )
             log = cross_bilateral(estimates, theta, context.strips, checkered=CHECKERED)
-            output = radiance_of(log, exposure)
+            output = radiance_of(log, exposure, context.strips)
+            image = without_fourth(output, context.strips)
 
         def finish() -> State:
             after: Learned | None = None
@@ -173,23 +175,25 @@ class OnlineModel:
             past: Past | None = None
             if plan.runs("remember"):
                 with timed(context.timings, "remember"):
-                    pilot_a, pilot_b = (radiance_of(pilot, exposure) for pilot in both)
+                    pilot_a, pilot_b = (
+                        radiance_of(pilot, exposure, context.strips) for pilot in both
+                    )
                     past = Past(
                         output=output,
                         pilot_a=pilot_a,
                         pilot_b=pilot_b,
-                        guides=guides_of(plan.buffers),
+                        guides=guides_of(plan.buffers, context.strips),
                         exposure=exposure,
                     )
-            return State(shape=(height, width), temporal=past, learned=after)
+            return State(shape=shape, temporal=past, learned=after)
 
-        return Step(image=np.ascontiguousarray(output[..., :_COLORS]), finish=finish)
+        return Step(image=image, finish=finish)
 
     def pilots(
         self, first: np.ndarray, second: np.ndarray, guides: np.ndarray, strips: Strips
     ) -> np.ndarray:
         """What the filter is given, ``(2, 3, h, w)``; ablations give it something else."""
-        return np.stack(pilots(first, second, guides, strips))
+        return pilots(first, second, guides, strips)
 
     def pack(self, state: State) -> dict[str, np.ndarray]:
         """A state as arrays by name, of which `unpack` makes the same state.
@@ -236,26 +240,48 @@ class OnlineModel:
             shape=(height, width), temporal=_unpack_past(arrays), learned=_unpack_learned(arrays)
         )
 
-    def _exposed(self, plan: OnlinePlan, context: Context) -> tuple[float, list[np.ndarray]]:
-        """The exposure, and logarithms of both halves, ``(3, h, w)``."""
-        halves = (plan.buffers.color, plan.second)
-        with timed(context.timings, "expose"):
+    def _exposed(self, plan: OnlinePlan, context: Context) -> tuple[float, np.ndarray]:
+        """The exposure, and logarithms of both halves, ``(2, 3, h, w)``."""
+        halves, strips = (plan.buffers.color, plan.second), context.strips
+        shape = (plan.second.shape[0], plan.second.shape[1])
+        light = context.workspace.array("light", shape)
+        logs = context.workspace.array("logarithms", (2, _COLORS, *shape))
+
+        def add(rows: slice) -> None:
             # summed at half their size: the sum of two of the brightest is no float32
-            light = features.luminance(halves[0] * np.float32(0.5) + halves[1] * np.float32(0.5))
+            first, second = (half[rows] * np.float32(0.5) for half in halves)
+            features.luminance(first + second, out=light[rows])
+
+        def expose(rows: slice) -> None:
+            for half, log in zip(halves, logs, strict=True):
+                log[:, rows] = logarithm(planes_of(half[rows]), exposure)
+
+        with timed(context.timings, "expose"):
+            strips.run(add, *shape)
             exposure = features.frame_exposure(light, self.spec.transfer)
             if plan.past is not None:
                 before = plan.past.exposure
                 exposure = features.steady_exposure(exposure, before, self.spec.transfer)
-            return exposure, [logarithm(planes_of(half), exposure) for half in halves]
+            strips.run(expose, *shape, pixels=STRIP_PIXELS // 2)
+        return exposure, logs
 
-    def _encode(self, both: np.ndarray, guides: np.ndarray, previous: np.ndarray) -> np.ndarray:
+    def _encode(self, given: Sequence[np.ndarray], context: Context) -> np.ndarray:
         """The network's input, ``(1, 15, H, W)``, of a size that it takes.
 
-        It grows by repeating the last column and row.
+        It grows by repeating the last column and row. ``given`` are its planes, ``(..., h, w)``.
         """
-        planes = np.concatenate([both.reshape(-1, *guides.shape[1:]), guides, previous])
-        more = [(0, -size % self._multiple) for size in guides.shape[1:]]
-        return np.pad(planes, [(0, 0), *more], mode="edge")[None]
+        parts = [planes.reshape(-1, *planes.shape[-2:]) for planes in given]
+        full = [-(-size // self._multiple) * self._multiple for size in parts[0].shape[1:]]
+        planes = context.workspace.array("features", (1, sum(map(len, parts)), *full))
+
+        def fill(rows: slice) -> None:
+            first = 0
+            for part in parts:
+                surround(part, planes[0, first : first + len(part)], 0, rows)
+                first += len(part)
+
+        context.strips.run(fill, full[0], full[1], pixels=STRIP_PIXELS // 2)
+        return planes
 
     def _learn(self, learned: Learned, lesson: Lesson, engine: Engine) -> Learned:
         learner = Learner(engine, rate=self._options.learning_rate, seed=self.spec.training.seed)
@@ -283,13 +309,29 @@ def _unpack_past(arrays: Mapping[str, np.ndarray]) -> Past | None:
     return Past(exposure=exposure, guides=arrays.get("guides"), **planes)
 
 
-def _guide_planes(buffers: Buffers) -> np.ndarray:
+def _guide_planes(buffers: Buffers, context: Context) -> np.ndarray:
     """Albedo and normals, ``(6, h, w)``; 0 where they are not given: they tell nothing apart."""
-    guides = np.zeros((2, _COLORS, *buffers.color.shape[:2]), np.float32)
-    for planes, buffer in zip(guides, (buffers.albedo, buffers.normal), strict=True):
-        if buffer is not None:
-            planes_of(buffer, out=planes)
+    given = (buffers.albedo, buffers.normal)
+    guides = context.workspace.array("guides", (2, _COLORS, *buffers.color.shape[:2]))
+
+    def work(rows: slice) -> None:
+        for planes, buffer in zip(guides, given, strict=True):
+            planes[:, rows] = 0 if buffer is None else planes_of(buffer[rows])
+
+    context.strips.run(work, *guides.shape[2:])
     return guides.reshape(-1, *guides.shape[2:])
+
+
+def _tell_apart(both: np.ndarray, guides: np.ndarray, context: Context) -> np.ndarray:
+    """What bands are of, ``(4, 3, h, w)``: both estimates, albedo and normals."""
+    found = context.workspace.array("bands", (4, *both.shape[1:]))
+
+    def work(rows: slice) -> None:
+        found[:2, :, rows] = both[:, :, rows]
+        found[2:, :, rows] = guides[:, rows].reshape(2, _COLORS, -1, both.shape[-1])
+
+    context.strips.run(work, *both.shape[2:])
+    return found
 
 
 def _remembered(

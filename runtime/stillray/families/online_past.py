@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillray.arrays.strips import interleave, planes_of
+from stillray.arrays.strips import STRIP_PIXELS, Strips, interleave, planes_of
 from stillray.families.contract import Context
 from stillray.model_spec.loader import Temporal
 from stillray.stages import reproject as rep
@@ -62,11 +62,23 @@ def nothing(shape: tuple[int, int]) -> Warped:
     return Warped(output=np.zeros((3, *shape), "f4"), pilots=np.zeros((7, *shape), "f4"))
 
 
-def guides_of(buffers: Buffers) -> np.ndarray | None:
+def guides_of(buffers: Buffers, strips: Strips) -> np.ndarray | None:
     """Geometry to remember; None where neither normals nor depth are given."""
-    if buffers.normal is None and buffers.depth is None:
+    normal, depth = buffers.normal, buffers.depth
+    if normal is None and depth is None:
         return None
-    return rep.pack(buffers.normal, buffers.depth)
+    guides = np.empty((*buffers.color.shape[:2], 4), np.float32)
+
+    def work(rows: slice) -> None:
+        planes = rep.surface_guide_planes(
+            None if normal is None else normal[rows],
+            None if depth is None else depth[rows],
+            strips.workspace,
+        )
+        interleave(planes, out=guides[rows])
+
+    strips.run(work, *guides.shape[:2])
+    return guides
 
 
 def warp(
@@ -94,7 +106,10 @@ def warp(
     rough: np.ndarray | None = None
     if past.guides is not None and compares and motion.any():
         rough = discontinuities(past.guides, strips, context.workspace)
-    found = np.empty((3, 4, *shape), np.float32)
+    output = context.workspace.array("warped output", (3, *shape))
+    pilots = context.workspace.array("warped pilots", (7, *shape))
+    known = pilots[-1]
+    sources = ((past.output, output), (past.pilot_a, pilots[:3]), (past.pilot_b, pilots[3:6]))
 
     def work(rows: slice) -> None:
         now: np.ndarray | None = None
@@ -106,16 +121,18 @@ def warp(
             )
         at = rep.positions_of(motion[rows], rows) if motion[rows].any() else None
         before = past.guides if compares else None
-        for target, source in zip(found, (past.output, past.pilot_a, past.pilot_b), strict=True):
+        for source, target in sources:
             previous = rep.PreviousFrame(source, before, rough)
-            taken = rep.reproject(previous, now, at, rows, options, strips.workspace)
-            target[:, rows] = planes_of(taken)
+            taken = planes_of(
+                rep.reproject(previous, now, at, rows, options, strips.workspace),
+                out=strips.workspace.array("found", (4, *known[rows].shape)),
+            )
+            if target is output:
+                known[rows] = taken[3] > _LEAST_SHARE
+            np.multiply(logarithm(taken[:3], exposure), known[rows], out=target[:, rows])
 
-    strips.run(work, *shape)
-    valid = found[0, 3] > _LEAST_SHARE
-    logs = logarithm(found[:, :3], exposure)
-    logs *= valid
-    return Warped(output=logs[0], pilots=np.concatenate([logs[1], logs[2], valid[None]]))
+    strips.run(work, *shape, pixels=STRIP_PIXELS // 2)
+    return Warped(output=output, pilots=pilots)
 
 
 def logarithm(radiance: np.ndarray, exposure: float) -> np.ndarray:
@@ -125,9 +142,15 @@ def logarithm(radiance: np.ndarray, exposure: float) -> np.ndarray:
     return np.minimum(np.log1p(exposed, out=exposed), _MOST_LOG, out=exposed)
 
 
-def radiance_of(log: np.ndarray, exposure: float) -> np.ndarray:
+def radiance_of(log: np.ndarray, exposure: float, strips: Strips) -> np.ndarray:
     """`logarithm` undone: ``(3, h, w)`` to ``(h, w, 4)``, finite, 0 or more, and 1 last."""
-    planes = np.ones((4, *log.shape[1:]), np.float32)
-    exposed = np.expm1(np.clip(log, 0, _MOST_LOG)).astype(np.float64) / exposure
-    np.minimum(exposed, MAX_RADIANCE, out=planes[:3], casting="unsafe")
-    return interleave(planes, out=np.empty((*log.shape[1:], 4), np.float32))
+    radiance = np.empty((*log.shape[1:], 4), np.float32)
+
+    def work(rows: slice) -> None:
+        planes = np.ones((4, *log[0, rows].shape), np.float32)
+        exposed = np.expm1(np.clip(log[:, rows], 0, _MOST_LOG)).astype(np.float64) / exposure
+        np.minimum(exposed, MAX_RADIANCE, out=planes[:3], casting="unsafe")
+        interleave(planes, out=radiance[rows])
+
+    strips.run(work, *log.shape[1:])
+    return radiance

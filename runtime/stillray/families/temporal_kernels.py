@@ -15,6 +15,7 @@ import numpy as np
 
 from stillray.arrays.strips import STRIP_PIXELS, Strips
 from stillray.arrays.tiles import Tile
+from stillray.arrays.watch import Watch
 from stillray.families.contract import Context, Request, State, Step, Traits
 from stillray.families.layer_filter import FilteredLayers
 from stillray.frame import Frame
@@ -216,7 +217,7 @@ class TemporalKernels(ABC):
         image = np.empty((*prepared.luminance.shape, 3), np.float32)
         for tile in tiles:
             past = None if previous is None else np.ascontiguousarray(previous[tile.outer])
-            part = crop(prepared, tile)
+            part = crop(prepared, tile, context.strips.watch)
             outputs = self._outputs(part, past, context)
             light = filterable(part, past)
             found = self.reconstruct(light, outputs, context.strips, context.timings)
@@ -327,10 +328,11 @@ def filterable(prepared: Prepared, previous: np.ndarray | None) -> Filterable:
     )
 
 
-def crop(prepared: Prepared, tile: Tile) -> Prepared:
-    """The part of a prepared frame that a tile sees, in arrays of its own."""
+def crop(prepared: Prepared, tile: Tile, watch: Watch) -> Prepared:
+    """The part of a prepared frame that a tile sees, in arrays of its own; looked at between."""
 
     def cut(value: Any) -> Any:
+        watch.look()
         if isinstance(value, np.ndarray) and value.ndim >= 2:
             return np.ascontiguousarray(value[tile.outer])
         return value

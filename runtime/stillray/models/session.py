@@ -56,7 +56,7 @@ class Network:
         As `open_session` takes them.
     steps
         Name of a graph that comes with stillray, beside the network: where its file is. Opened
-        when it is first run, and not read strictly, being stillray's own.
+        when it is first run, in a thread of its own, and not read strictly, being stillray's own.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Network:
     ) -> None:
         self._path = path
         self._threads, self._steps = threads, dict(steps or {})
-        self._opened: dict[str, Any] = {}
+        self._opened: dict[str, Future[Any]] = {}
         self._thread = ThreadPoolExecutor(1, "stillray-network")
         try:
             self._session = self._thread.submit(
@@ -106,26 +106,35 @@ class Network:
             file, interface = read_checked(self._path)
             held = {name: file.graph.tensors[name][None] for name, _ in interface.weights}
             known: Future[Any] = Future()
-            known.set_result(list(held.values()))
-            return Running(known, options, self._path, list(held))
-        session = self._session if graph == "network" else self._step(graph)
-        names = [output.name for output in session.get_outputs()]
-        future = self._thread.submit(session.run, None, dict(inputs), options)
-        return Running(future, options, self._path, names)
+            known.set_result(held)
+            return Running(known, options, self._path)
+        opened = None if graph == "network" else self._step(graph)
 
-    def _step(self, graph: str) -> Any:
+        def run() -> dict[str, np.ndarray]:
+            session = self._session if opened is None else opened.result()
+            names = [output.name for output in session.get_outputs()]
+            return dict(zip(names, session.run(None, dict(inputs), options), strict=True))
+
+        return Running(self._thread.submit(run), options, self._path)
+
+    def _step(self, graph: str) -> Future[Any]:
+        """The session of a step, which is being opened or was."""
         if graph not in self._steps:
             known = ", ".join(("network", "weights", *self._steps))
             raise ValueError(f"graph must be one of {known}, got {graph!r}")
         if graph not in self._opened:
             import onnxruntime as ort
 
-            # in this thread, whose denormals stay as they are: they are the host's
-            self._opened[graph] = ort.InferenceSession(
+            # Not in the network's thread, whose mode for denormals it would change; nor in this
+            # one, which is to be asked meanwhile whether the frame is still wanted.
+            opener = ThreadPoolExecutor(1, "stillray-opening")
+            self._opened[graph] = opener.submit(
+                ort.InferenceSession,
                 str(self._steps[graph]),
                 session_options(self._threads),
                 providers=[CPU],
             )
+            opener.shutdown(wait=False)
         return self._opened[graph]
 
     def close(self) -> None:
@@ -136,8 +145,8 @@ class Network:
 class Running:
     """A run of a network that was begun."""
 
-    def __init__(self, future: Future[Any], options: Any, path: Path, names: list[str]) -> None:
-        self._future, self._options, self._path, self._names = future, options, path, names
+    def __init__(self, future: Future[Any], options: Any, path: Path) -> None:
+        self._future, self._options, self._path = future, options, path
 
     def done(self, seconds: float) -> bool:
         """Whether it ends within a time."""
@@ -153,7 +162,7 @@ class Running:
             outputs = self._future.result()
         except Exception as error:  # ONNX Runtime's own, without a common base
             raise InputError(f"{self._path}: cannot be run: {first_line(error)}") from None
-        return {name: output[0] for name, output in zip(self._names, outputs, strict=True)}
+        return {name: output[0] for name, output in outputs.items()}
 
 
 class WatchedEngine:

@@ -220,7 +220,8 @@ class Denoiser:
             Whether alpha is filtered as color is, or handed over as it was given.
         progress
             Called in this thread with the share of the frame that is done, every few hundredths
-            of a second. False ends the frame: the history is then as before the call.
+            of a second. False ends the frame: the history is then as before the call, and part
+            of the picture may be in ``out``.
 
         Returns
         -------
@@ -248,12 +249,13 @@ class Denoiser:
         with self._turn(progress) as engine:
             if values is not Encoding.HDR:
                 frame = replace(frame, color=decoded(frame.color, values, self._strips))
-            layers = {"alpha": _grey(frame.alpha)} if denoise_alpha else {}
+            layers = {"alpha": _grey(frame.alpha, self._strips)} if denoise_alpha else {}
             image, filtered, state = self._frame(frame, layers, layers, engine)
             image = encoded(image, values, self._strips)
+            alpha = np.clip(filtered["alpha"][..., 0], 0, 1) if denoise_alpha else frame.alpha
+            image = target.put(image, alpha, self._strips)
             self._remember(state)
-        alpha = np.clip(filtered["alpha"][..., 0], 0, 1) if denoise_alpha else frame.alpha
-        return target.put(image, alpha)
+        return image
 
     def denoise_layers(
         self,
@@ -367,10 +369,16 @@ class Denoiser:
 _HOW = {"color_b": ": render the same frame again with another seed"}
 
 
-def _grey(alpha: np.ndarray | None) -> np.ndarray:
+def _grey(alpha: np.ndarray | None, strips: Strips) -> np.ndarray:
     """Alpha as a layer of light."""
     assert alpha is not None
-    return np.repeat(np.nan_to_num(alpha)[..., None], 3, axis=2)
+    given, layer = alpha, np.empty((*alpha.shape, 3), np.float32)
+
+    def work(rows: slice) -> None:
+        layer[rows] = np.nan_to_num(given[rows])[..., None]
+
+    strips.run(work, *layer.shape[:2])
+    return layer
 
 
 def _checked_threads(threads: int | None) -> int:

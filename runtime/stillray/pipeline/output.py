@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import DTypeLike
 
+from stillray.arrays.strips import Strips
 from stillray.errors import InputError
 
 
@@ -48,21 +49,27 @@ class Target:
             raise InputError(f"out must have shape {shape} like color, got {out.shape}")
         return cls(out, out.dtype)
 
-    def put(self, image: np.ndarray, alpha: np.ndarray | None) -> np.ndarray:
+    def put(self, image: np.ndarray, alpha: np.ndarray | None, strips: Strips) -> np.ndarray:
         """Hand over a picture ``(h, w, 3)`` float32, with alpha ``(h, w)`` behind it if given.
 
         A picture that fits as it is goes without a copy. Half precision never gets infinite.
         """
         if self.out is None and alpha is None and self.dtype == image.dtype:
             return image
-        if self.dtype == np.float16:
-            image = np.minimum(image, np.float32(np.finfo(np.float16).max))
-        out = self.out
-        if out is None:
-            out = np.empty((*image.shape[:2], 3 if alpha is None else 4), self.dtype)
-        np.copyto(out[..., :3], image, casting="same_kind")
-        if alpha is not None:
-            np.copyto(out[..., 3], alpha, casting="same_kind")
+        target = self.out
+        if target is None:
+            target = np.empty((*image.shape[:2], 3 if alpha is None else 4), self.dtype)
+        out, halves = target, self.dtype == np.float16
+
+        def work(rows: slice) -> None:
+            part = image[rows]
+            if halves:
+                part = np.minimum(part, np.float32(np.finfo(np.float16).max))
+            np.copyto(out[rows, :, :3], part, casting="same_kind")
+            if alpha is not None:
+                np.copyto(out[rows, :, 3], alpha[rows], casting="same_kind")
+
+        strips.run(work, *image.shape[:2])
         return out
 
 

@@ -154,7 +154,7 @@ class _Pixels:
         )
         wants, moved = plan.wants, plan.moved
         before = None if plan.past is None else plan.past.frame_samples
-        self.counts = SampleCounts.of(buffers.samples, before)
+        self.counts = SampleCounts.of(buffers.samples, before, means.strips)
 
         def room(name: str, *more: int, dtype: type = np.float32) -> np.ndarray:
             return workspace.array(name, (*more, *shape), dtype)

@@ -106,7 +106,7 @@ def repair_radiance(
     """
     empty = empty if empty is not None and empty.any() else None
     strips = strips or Strips(1)
-    if empty is None and _all_within(color, 0, MAX_RADIANCE, strips):
+    if empty is None and all_within(color, 0, MAX_RADIANCE, strips):
         return color, None
     shape = color.shape[:2]
     valid, cleaned = np.empty(shape, bool), np.empty(color.shape, np.float32)
@@ -139,7 +139,7 @@ def repair_feature(
         Where the work runs; None for the caller's thread.
     """
     strips = strips or Strips(1)
-    if _all_within(feature, low, high, strips):
+    if all_within(feature, low, high, strips):
         return feature
     result = np.empty_like(feature)
 
@@ -158,7 +158,7 @@ def repair_motion(motion: np.ndarray, strips: Strips | None = None) -> np.ndarra
     ``strips`` as for `repair_feature`.
     """
     strips = strips or Strips(1)
-    if _all_within(motion, *_RANGES["motion"], strips):
+    if all_within(motion, *_RANGES["motion"], strips):
         return motion
     result = np.empty_like(motion)
 
@@ -170,8 +170,8 @@ def repair_motion(motion: np.ndarray, strips: Strips | None = None) -> np.ndarra
     return result
 
 
-def _all_within(array: np.ndarray, low: float, high: float, strips: Strips) -> bool:
-    """`within` of a whole frame."""
+def all_within(array: np.ndarray, low: float, high: float, strips: Strips) -> bool:
+    """`within` of a whole frame, ``(h, w)`` or ``(h, w, c)``."""
     return all(strips.run(lambda rows: within(array[rows], low, high), *array.shape[:2]))
 
 

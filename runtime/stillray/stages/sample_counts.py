@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stillray.arrays.strips import Strips
+
 #: Share of the mean's samples that a pixel counts as at least, if it has any: float32 holds what
 #: is divided by it, and what is filled in still weighs less.
 LEAST_SHARE = 1e-3
@@ -41,7 +43,9 @@ class SampleCounts:
     past_scale: float = 1.0
 
     @classmethod
-    def of(cls, samples: float | np.ndarray | None, before: float | None) -> SampleCounts:
+    def of(
+        cls, samples: float | np.ndarray | None, before: float | None, strips: Strips | None = None
+    ) -> SampleCounts:
         """What a frame says, beside what is known of the past.
 
         Parameters
@@ -51,15 +55,19 @@ class SampleCounts:
         before
             The ``mean`` of the frame before; None if it is not known, or there is none. A past
             that never said counts as frames like this one.
+        strips
+            Where the work runs; None for the caller's thread.
         """
         share: np.ndarray | None = None
         mean = before
         if isinstance(samples, np.ndarray):
             sampled = samples > 0  # NaN is not
             if sampled.any():
-                mean = float(samples[sampled].mean(dtype=np.float64))
-                share = np.where(sampled, samples / np.float32(mean), np.float32(1))
-                np.maximum(share, np.float32(LEAST_SHARE), out=share)
+                strips = strips or Strips(1)
+                some = samples[sampled]
+                strips.watch.look()
+                mean = float(some.mean(dtype=np.float64))
+                share = _shares(samples, sampled, mean, strips)
         elif samples is not None:
             mean = samples
         scale = 1.0
@@ -87,3 +95,15 @@ class SampleCounts:
         """Bring frames like these pixels, ``(h, w)`` of some rows, to frames like the mean."""
         if self.share is not None:
             held *= self.share[rows]
+
+
+def _shares(samples: np.ndarray, sampled: np.ndarray, mean: float, strips: Strips) -> np.ndarray:
+    """Each pixel's samples by the mean, see `SampleCounts`."""
+    share, unit = np.empty(samples.shape, np.float32), np.float32(mean)
+
+    def work(rows: slice) -> None:
+        part = np.where(sampled[rows], samples[rows] / unit, np.float32(1))
+        np.maximum(part, np.float32(LEAST_SHARE), out=share[rows])
+
+    strips.run(work, *samples.shape)
+    return share
