@@ -67,11 +67,8 @@ def filter_finest(
 
     def fill(rows: slice) -> None:
         at = slice(margin + rows.start, margin + rows.stop)
-        # the first and the last rows with those beyond them
-        top = at.start if rows.start else 0
-        bottom = at.stop if rows.stop < height else at.stop + margin
         for image in images:
-            framed(image[:, top:bottom], slice(at.start - top, at.stop - top), margin)
+            _frame(image, at, margin)
         blend(rows, source[:, at, within])
         given = logits[layout.features, rows]
         np.clip(given, -np.float32(bound), np.float32(bound), out=features[:, at, within])
@@ -83,6 +80,16 @@ def filter_finest(
         strips.run(partial(step.run, other, strips), height, width)
         source, other = other, source
     return source[:, inside, within]
+
+
+def _frame(image: np.ndarray, at: slice, margin: int) -> None:
+    """`framed` of some rows of an image, the first and the last with the margin beyond them.
+
+    At once it would touch every row: all of the memory of a first frame, uncut.
+    """
+    top = at.start if at.start > margin else 0
+    bottom = at.stop if at.stop + margin < image.shape[1] else image.shape[1]
+    framed(image[:, top:bottom], slice(at.start - top, at.stop - top), margin)
 
 
 class _Filter:
