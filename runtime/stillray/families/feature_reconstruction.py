@@ -162,7 +162,8 @@ class _Reconstruction:
             DepthToSpace(outputs[0], strips),
             *outputs[1:],
         ]
-        self._enlarged = np.empty((3, *self._size), np.float32)  # this frame's light, filtered
+        # this frame's light, filtered; what a frame leaves nothing of lies in the workspace
+        self._enlarged = strips.workspace.array("enlarged light", (3, *self._size))
         self._kept = Accumulated(*(np.empty((*self._size, 4), np.float32) for _ in range(3)))
 
     def run(self) -> tuple[np.ndarray, Accumulated]:
@@ -287,7 +288,10 @@ class _Reconstruction:
         """
         height, width = self._size[0] // 2, self._size[1] // 2
         count = self._levels - 1
-        sums = [np.empty((_PLANES + 1, height, width), np.float32) for _ in range(count)]
+        sums = [
+            self._strips.workspace.array(f"sums {level}", (_PLANES + 1, height, width))
+            for level in range(count)
+        ]
 
         def work(rows: slice) -> None:
             fine = slice(2 * rows.start, 2 * rows.stop)
@@ -309,7 +313,7 @@ class _Reconstruction:
     def _means(self, sums: np.ndarray, steps: int) -> np.ndarray:
         """Means of sums ``(10, h, w)``, halved so many times: ``(9, h >> steps, w >> steps)``."""
         height, width = (size >> steps for size in sums.shape[1:])
-        means = np.empty((_PLANES, height, width), np.float32)
+        means = self._strips.workspace.array(f"means {steps}", (_PLANES, height, width))
 
         def work(rows: slice) -> None:
             level = sums[:, rows.start << steps : rows.stop << steps]
@@ -324,7 +328,7 @@ class _Reconstruction:
         self, level: int, pool: np.ndarray, coarser: int | None, below: np.ndarray | None
     ) -> np.ndarray:
         """A coarser level, mixed with the next and filtered, ``(9, h, w)``."""
-        result = np.empty_like(pool)
+        result = self._strips.workspace.array(f"level {level}", pool.shape)
         layout = level_layout(level, self._levels, self._rules.filters)
 
         def fill(rows: slice, out: np.ndarray) -> None:
