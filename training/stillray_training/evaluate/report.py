@@ -107,7 +107,10 @@ def trained(models: Mapping[str, str]) -> str:
             part = part.get("started_from", {})
         if any(counts):
             shown.append(f"{label} {' + '.join(counts)}")
-    return f"Training steps: {', '.join(shown)}.\n\n"
+    return (
+        f"Training steps: {', '.join(shown)}. Models differ in data and losses, too, as\n"
+        "[training.md](training.md) and [differences.md](differences.md) tell.\n\n"
+    )
 
 
 def worse(results: Results, methods: Sequence[str]) -> str:
