@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from stillray.errors import InputError
 from stillray.families.registry import kernels_of
@@ -32,6 +31,7 @@ from stillray_export.frame_graph.reflections import follow_reflections, light_of
 from stillray_export.frame_graph.rejection import Noise, compare, confidence
 from stillray_export.frame_graph.repair import repair_feature, repair_motion, repair_radiance
 from stillray_export.frame_graph.reprojection import guide_planes, reproject
+from stillray_export.frame_graph.windows import mirrored
 from stillray_training.decoders.boxes import pooled_box_mean
 from stillray_training.decoders.pyramid import (
     blended_with_sample,
@@ -290,8 +290,7 @@ class FrameGraph(nn.Module):
         features = feature_planes(frame, self.spec)
         count = features.shape[1]
         planes = torch.cat([features, frame.irradiance, frame.held, sample], 1)
-        edge = (0, -width % self.multiple, 0, -height % self.multiple)
-        planes = F.pad(planes, edge, mode="replicate")
+        planes = mirrored(planes, self.multiple)
         maps = level_parts(self.network(planes[:, :count]), self.options)
         light, held, new, worth = (
             planes[:, count + start : count + stop]

@@ -14,6 +14,20 @@ def repeated(planes_nchw: Tensor, by: int) -> Tensor:
     return F.pad(planes_nchw, (by, by, by, by), mode="replicate")
 
 
+def mirrored(planes_nchw: Tensor, multiple: int) -> Tensor:
+    """Carried on to multiples of a size by `stillray.arrays.extend.mirrored`.
+
+    ``Pad`` mirrors no further than a small frame is large.
+    """
+
+    def places(size: int) -> Tensor:
+        there_and_back = torch.arange(size + -size % multiple) % (2 * size)
+        return torch.minimum(there_and_back, 2 * size - 1 - there_and_back)
+
+    height, width = planes_nchw.shape[2:]
+    return planes_nchw[:, :, places(height)][..., places(width)]
+
+
 def mean_around(planes_nchw: Tensor, size: int) -> Tensor:
     """Means of ``size x size`` windows, zeros outside."""
     return F.avg_pool2d(planes_nchw, size, stride=1, padding=size // 2)

@@ -8,8 +8,22 @@ import numpy as np
 from stillray.arrays.strips import Strips
 
 
+def mirrored(size: int, full: int) -> np.ndarray:
+    """Places 0 to ``full - 1`` of a row of ``size`` pixels and of its mirror images beyond it.
+
+    A border's noise goes on as noise there; its outermost pixel repeated would look like something
+    that is as long and has none.
+
+    Returns
+    -------
+    (full,) int
+        Where each lies, in [0, size): 0, 1, ..., size - 1, size - 1, ..., 1, 0, 0, 1, ...
+    """
+    return np.pad(np.arange(size), (0, full - size), mode="symmetric")
+
+
 def extended(image: np.ndarray, out: np.ndarray, strips: Strips) -> np.ndarray:
-    """An image with its last row and column repeated.
+    """An image carried on below and to the right by its mirror image, see `mirrored`.
 
     Parameters
     ----------
@@ -21,11 +35,11 @@ def extended(image: np.ndarray, out: np.ndarray, strips: Strips) -> np.ndarray:
     """
     height, width = image.shape[:2]
     right = out.shape[1] - width
+    down = mirrored(height, len(out))
 
     def work(rows: slice) -> None:
-        inside = image[min(rows.start, height - 1) : min(rows.stop, height)]
-        below = rows.stop - rows.start - len(inside)
-        cv2.copyMakeBorder(inside, 0, below, 0, right, cv2.BORDER_REPLICATE, dst=out[rows])
+        inside = image[rows] if rows.stop <= height else image[down[rows]]
+        cv2.copyMakeBorder(inside, 0, 0, 0, right, cv2.BORDER_REFLECT, dst=out[rows])
 
     strips.run(work, *out.shape[:2])
     return out

@@ -99,8 +99,7 @@ def filter_pyramid(
         What is filtered: irradiance >= 0 and samples > 0.
     logits
         One ``(planes, H, W)`` map a level, finest first, of the frame's size rounded up to
-        `alignment`; any values. The frame's last row and column are repeated to that size. The
-        finest may come as `DepthToSpace`, known by having the size of the next.
+        `alignment`; any values. The frame is mirrored to that size. The finest may come as `DepthToSpace`, known by having the size of the next.
     options
         Kernel sizes and the bound of the logits.
     strips
@@ -163,7 +162,7 @@ def _filtered(
 def _whole_blocks(
     light: Filterable, size: tuple[int, ...], strips: Strips
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Mean and sample of a size that the levels divide: the last row and column are repeated."""
+    """Mean and sample of a size that the levels divide, see `extended`."""
     mean, sample = light.mean, light.sample
     if mean.shape[:2] == size:
         return mean, sample

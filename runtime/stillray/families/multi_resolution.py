@@ -84,8 +84,8 @@ class MultiResolutionModel(TemporalKernels):
             What is filtered.
         outputs
             One ``(planes, H, W)`` map a level, finest first, see `level_planes`, of the frame's
-            size rounded up to the alignment; any values. The frame's last row and column are
-            repeated to that size. After them, perhaps, what `frozen` found.
+            size rounded up to the alignment; any values. The frame is mirrored to that size.
+            After them, perhaps, what `frozen` found.
         strips, timings
             As `TemporalKernels` has them.
         """

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from stillray.arrays.extend import mirrored
 from stillray.arrays.strips import STRIP_PIXELS, Strips
 from stillray.arrays.tiles import Tile
 from stillray.arrays.watch import Watch
@@ -273,9 +274,9 @@ class TemporalKernels(ABC):
         with timed(context.timings, "encode"):
             # many planes: half of a strip, so that a frame that is cancelled ends soon
             context.strips.run(pack, height, width, pixels=STRIP_PIXELS // 2)
-            # to a multiple by repeating the last column and row
-            planes[..., :height, width:] = planes[..., :height, width - 1 : width]
-            planes[..., height:, :] = planes[..., height - 1 : height, :]
+            # to a multiple, as the light is that the outputs are for
+            planes[..., :height, width:] = planes[..., :height, mirrored(width, full[1])[width:]]
+            planes[..., height:, :] = planes[..., mirrored(height, full[0])[height:], :]
         return planes
 
     def _remember(
