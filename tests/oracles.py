@@ -164,7 +164,7 @@ def kernel_pyramid(
     full = weights[0].shape[1:]
     padding = [(0, full[axis] - mean.shape[axis]) for axis in (0, 1)]
     padded, new = (
-        np.pad(image.astype(np.float64), [*padding, (0, 0)], mode="edge")
+        np.pad(image.astype(np.float64), [*padding, (0, 0)], mode="symmetric")
         for image in (mean, np.moveaxis(sample, 0, -1))
     )
     light, held = np.zeros_like(padded[..., :3]), np.zeros(full)
@@ -276,7 +276,7 @@ def multi_resolution_kernels(
     height, width = mean.shape[:2]
     full = logits[0].shape[1:]
     padding = [(0, full[axis] - mean.shape[axis]) for axis in (0, 1)]
-    padded = np.pad(mean.astype(np.float64), [*padding, (0, 0)], mode="edge")
+    padded = np.pad(mean.astype(np.float64), [*padding, (0, 0)], mode="symmetric")
     pyramid = [(padded[..., :3], padded[..., 3])]
     for _ in logits[1:]:
         light, held = pyramid[-1]

@@ -18,6 +18,21 @@ def test_planes_are_surrounded_by_their_outermost_pixels(rng, pixels, reach, mor
     np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (2, 3), (9, 6)])
+def test_beyond_its_border_an_image_is_its_mirror_image(rng, size):
+    image = rng.random((*size, 4)).astype(np.float32)
+    expected = np.empty((16, 21, 4), np.float32)
+    for y, x in np.ndindex(16, 21):  # there and back, the outermost pixel twice
+        y_inside, x_inside = (
+            at % size if (at // size) % 2 == 0 else size - 1 - at % size
+            for at, size in ((y, size[0]), (x, size[1]))
+        )
+        expected[y, x] = image[y_inside, x_inside]
+    for pixels in (1, 64, 10_000):
+        found = extended(image, np.empty_like(expected), Strips(2, pixels=pixels))
+        np.testing.assert_array_equal(found, expected)
+
+
 @pytest.mark.parametrize("shape", [(8, 6), (8, 9), (11, 6), (11, 9)])
 def test_what_was_carried_on_is_cut_off_again(rng, shape):
     image = rng.random((8, 6, 4)).astype(np.float32)

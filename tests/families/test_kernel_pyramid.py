@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+import stillray
 from stillray.arrays.strips import Strips, planes_of
 from stillray.families import kernel_pyramid as pyramid
 from stillray.families.pyramid_logits import level_layout, level_logits
@@ -258,3 +259,22 @@ def test_a_past_that_does_not_hold_can_be_let_go():
     logits[0][SAMPLE_BLEND] = 100
     got = filtered(mean, sample, None, None, logits, OPTIONS, Strips(1))
     assert got.max() < 1.03  # exp(8) to 17
+
+
+@pytest.mark.parametrize("model", ["kpyr-5", "kpyr-5s"])
+def test_the_border_of_a_frame_that_is_no_whole_blocks_is_as_clean_as_the_rest(model):
+    height, width = 104, 64  # 6.5 of the largest blocks
+    normal = np.broadcast_to(np.float32([0, 1, 0]), (height, width, 3))
+    depth = np.repeat(5 + 0.02 * np.arange(height, 0, -1, dtype=np.float32)[:, None], width, 1)
+    at_border, inside = 0.0, 0.0
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        lit = rng.random((height, width, 1)) < 0.3
+        light = rng.exponential(1 / 0.3, (height, width, 1)) * lit  # 1 in the mean
+        color = np.repeat(0.5 * light, 3, axis=2).astype(np.float32)
+        albedo = np.full_like(color, 0.5)
+        clean = stillray.denoise(color, albedo=albedo, normal=normal, depth=depth, model=model)
+        error = np.abs(clean - 0.5)
+        at_border += error[-4:].mean()
+        inside += error[8:-12].mean()
+    assert at_border < 1.4 * inside

@@ -99,7 +99,8 @@ def filter_pyramid(
         What is filtered: irradiance >= 0 and samples > 0.
     logits
         One ``(planes, H, W)`` map a level, finest first, of the frame's size rounded up to
-        `alignment`; any values. The frame is mirrored to that size. The finest may come as `DepthToSpace`, known by having the size of the next.
+        `alignment`; any values. The frame is mirrored to that size. The finest may come as
+        `DepthToSpace`, known by having the size of the next.
     options
         Kernel sizes and the bound of the logits.
     strips
