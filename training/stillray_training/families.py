@@ -85,7 +85,10 @@ def _pyramid(
         batch["irradiance"], batch["samples"], batch["new"], batch["worth"], finest.sample_blend
     )
     image = kernel_pyramid(light, samples, maps, spec.decoder, box)
-    return resolve(image * batch["divisor"], finest.resolve, batch["previous"], batch["valid"])
+    image = image * batch["divisor"]
+    toned = spec.decoder.resolve_tone
+    tone = toned * batch["exposure"] if toned else None
+    return resolve(image, finest.resolve, batch["previous"], batch["valid"], tone)
 
 
 def _multires(
@@ -110,7 +113,9 @@ FAMILIES = {
     "kernel-pyramid": Family(
         kernel_pyramid_net,
         _pyramid,
-        inputs=("irradiance", "samples", "new", "worth", "divisor", "previous", "valid"),
+        inputs=(
+            "irradiance", "samples", "new", "worth", "divisor", "previous", "valid", "exposure",
+        ),
         modulates=True,
     ),
     "multi-resolution-kernels": Family(

@@ -29,6 +29,7 @@ from stillray.families.pyramid_logits import NEIGHBOURS, LevelLayout, level_layo
 from stillray.families.pyramid_upsample import Doubled
 from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.model_spec.loader import ModelSpec, PyramidKernels, PyramidNetwork
+from stillray.stages.features import luminance_of_planes
 from stillray.stages.state import Filterable
 from stillray.timing import timed
 
@@ -298,7 +299,8 @@ class _Level:
         _repeat_border(padded, top=rows.start == 0, bottom=rows.stop == height)
         past = None if light.previous is None else light.previous[rows]
         logits = self.logits[self.layout.resolve, rows][..., :width]
-        _resolve(padded, logits, past, self.options, out, workspace)
+        tone = self.options.resolve_tone * light.exposure
+        _resolve(padded, logits, past, (self.options.logit_bound, tone), out, workspace)
 
     def blend(self, rows: slice, out: np.ndarray, workspace: Workspace) -> None:
         """Rows of the level, ``(3, rows, w)``: itself, its kernels and the coarser level."""
@@ -412,7 +414,7 @@ def _resolve(
     padded: np.ndarray,
     logits: np.ndarray,
     previous: np.ndarray | None,
-    options: PyramidKernels,
+    rules: tuple[float, float],
     out: np.ndarray,
     workspace: Workspace,
 ) -> None:
@@ -426,13 +428,19 @@ def _resolve(
         Of the neighbours and the previous output.
     previous : (h, w, 4) float32 or None
         The previous output, and how much of it is valid.
+    rules
+        The bound of the logits, and what luminance is multiplied by where a brighter neighbour
+        weighs less, 1 / radiance; 0: it does not.
     out : (h, w, 3) float32
         Written.
     """
     height, width = out.shape[:2]
+    bound, tone = rules
     weights = workspace.array("weights", logits.shape)
     for logit, weight in zip(logits, weights, strict=True):
-        bounded_exp(logit, options.logit_bound, weight)
+        bounded_exp(logit, bound, weight)
+    if tone:
+        _weigh_brighter_less(padded, weights[: len(NEIGHBOURS)], tone, workspace)
     normal = workspace.array("normal", (height, width))
     np.add(weights[0], weights[1], out=normal)
     for weight in weights[2:-1]:
@@ -452,3 +460,30 @@ def _resolve(
             cv2.accumulateProduct(plane, weights[-1], total)
     resolved *= normal
     interleave(resolved, out=out)
+
+
+def _weigh_brighter_less(
+    padded: np.ndarray, weights: np.ndarray, tone: float, workspace: Workspace
+) -> None:
+    """Multiply the weights of neighbours by (1 + tone L) / (1 + tone L'), at most 1.
+
+    A window sixty times as bright as the bar before it would show through a hundredth of its weight.
+
+    Parameters
+    ----------
+    padded : (3, h + 2, w + 2) float32
+        Radiance, with one pixel more on each side.
+    weights : (8, h, w) float32
+        Of the neighbours; changed.
+    tone
+        What luminance is multiplied by, 1 / radiance.
+    """
+    height, width = weights.shape[1:]
+    toned = luminance_of_planes(padded, workspace.array("toned", padded.shape[1:]))
+    toned *= tone
+    toned += 1
+    share = np.reciprocal(toned, out=workspace.array("share", toned.shape))
+    own, least = toned[1:-1, 1:-1], workspace.array("least", (height, width))
+    for weight, (down, right) in zip(weights, NEIGHBOURS, strict=True):
+        np.multiply(own, share[1 + down :, 1 + right :][:height, :width], out=least)
+        weight *= np.minimum(least, 1, out=least)

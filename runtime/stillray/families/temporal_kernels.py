@@ -326,6 +326,7 @@ def filterable(prepared: Prepared, previous: np.ndarray | None) -> Filterable:
         sample=prepared.sample,
         remodulation_albedo=prepared.remodulation_albedo,
         previous=previous,
+        exposure=prepared.history.exposure,
     )
 
 

@@ -69,6 +69,7 @@ _MAX_NETWORK_KERNEL = 31  # pixels
 _MAX_KERNELS = 16
 _MAX_WINDOW = 127  # pixels of a reconstruction kernel
 _MAX_FILTER_FEATURES = 32
+_MOST_TONE = 1000.0
 _MAX_LOCAL_SIZE = 255  # pixels
 _MAX_COUNT = 10**9  # steps and the like, of training
 BUFFERS = (
@@ -260,10 +261,14 @@ class PyramidKernels(Decoder):
     # through at last, one after the other, and how many features they compare.
     finest_filters: tuple[int, ...] = ()
     filter_features: int = 0
+    # In the resolve a neighbour brighter than the pixel weighs (1 + tone x) / (1 + tone y) of what
+    # the network says, x and y being the exposed luminance of pixel and neighbour; 0: all of it.
+    resolve_tone: float = 0.0
 
     def __post_init__(self) -> None:
         _kernels(self.kernel_sizes)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
+        _within("decoder.resolve_tone", self.resolve_tone, 0, _MOST_TONE)
         _each("decoder.finest_neighbours", self.finest_neighbours, 1, _MAX_WINDOW // 2)
         _each("decoder.finest_filters", self.finest_filters, 1, _MAX_WINDOW // 2)
         _within(

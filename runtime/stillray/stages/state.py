@@ -177,3 +177,4 @@ class Filterable:
     sample: np.ndarray | None = None
     remodulation_albedo: np.ndarray | None = None
     previous: np.ndarray | None = None
+    exposure: float = 1.0

@@ -15,6 +15,9 @@ from stillray_training.decoders.boxes import BoxMean
 from stillray_training.decoders.gaussian import gaussian
 
 
+_REC709 = (0.2126, 0.7152, 0.0722)
+
+
 class LevelParts(NamedTuple):
     """Bounded logits of one level, ``(n, planes, h, w)`` each, by what they are for.
 
@@ -203,6 +206,7 @@ def resolve(
     logits_nchw: Tensor,
     previous_nchw: Tensor,
     valid_nchw: Tensor,
+    tone: Tensor | None = None,
 ) -> Tensor:
     """Average each pixel with its neighbours and with the previous output.
 
@@ -216,15 +220,25 @@ def resolve(
         Radiance of the previous output at these pixels.
     valid_nchw : (n, 1, h, w)
         How much of it lay in the frame, [0, 1].
+    tone : (n, 1, 1, 1) or None
+        What luminance is multiplied by where a brighter neighbour weighs less; None: it does not.
 
     Returns
     -------
     (n, 3, h, w)
     """
-    weights = logits_nchw.exp()
-    *near, past = weights.split(1, 1)
+    near, past = logits_nchw.exp().split((logits_nchw.shape[1] - 1, 1), 1)
+    if tone is not None:
+        near = near * _share_of_brighter(radiance_nchw.detach(), tone)
     past = past * valid_nchw
     total = radiance_nchw + past * previous_nchw
-    for weight, moved in zip(near, shifted(radiance_nchw), strict=True):
+    for weight, moved in zip(near.split(1, 1), shifted(radiance_nchw), strict=True):
         total = total + weight * moved
-    return total / (1 + weights.sum(1, keepdim=True) - weights[:, -1:] + past)
+    return total / (1 + near.sum(1, keepdim=True) + past)
+
+
+def _share_of_brighter(radiance_nchw: Tensor, tone: Tensor) -> Tensor:
+    """(1 + tone L) / (1 + tone L') of the eight neighbours, at most 1."""
+    weights = radiance_nchw.new_tensor(_REC709).view(1, 3, 1, 1)
+    toned = 1 + tone * (radiance_nchw * weights).sum(1, keepdim=True)
+    return (toned / torch.cat(shifted(toned), 1)).clamp(max=1)
