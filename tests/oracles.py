@@ -156,6 +156,7 @@ def kernel_pyramid(
     previous: np.ndarray,
     logits: list[np.ndarray],
     options: PyramidKernels,
+    exposure: float = 1.0,
 ) -> np.ndarray:
     """`kernel_pyramid.filter_pyramid`, pixel by pixel; arrays as it takes them."""
     bound, levels = options.logit_bound, len(logits)
@@ -236,14 +237,15 @@ def kernel_pyramid(
         pair = compared[options.filter_features + 2 * index :][:2]
         result = _by_likeness(result, features, pair[0], pair[1], distance)
     radiance = result[:height, :width] * albedo
-    resolved = np.zeros_like(radiance)
+    resolved, tone = np.zeros_like(radiance), options.resolve_tone * exposure
     for y, x in np.ndindex(height, width):
         choices = [radiance[y, x], previous[y, x, :3].astype(np.float64)]
         shares = [1.0, weights[0][-2, y, x] * previous[y, x, 3]]
         for index, (down, right) in enumerate(around):
             at = min(max(y + down, 0), height - 1), min(max(x + right, 0), width - 1)
             choices.append(radiance[at])
-            shares.append(weights[0][-10 + index, y, x])
+            own, other = (1 + tone * (radiance[p] @ [0.2126, 0.7152, 0.0722]) for p in ((y, x), at))
+            shares.append(weights[0][-10 + index, y, x] * min(1, own / other))
         resolved[y, x] = np.average(choices, axis=0, weights=shares)
     return resolved
 

@@ -27,7 +27,9 @@ SIZES = ((33, 18), (1, 1), (3, 5), (64, 97))  # height, width; rounded up to wha
 #: Channels of the arrays that decoders take.
 CHANNELS = {
     "irradiance": 3, "samples": 1, "new": 3, "worth": 1, "divisor": 3, "previous": 3, "valid": 1,
+    "exposure": 1,
 }  # fmt: skip
+SCALARS = {"exposure"}  # one number a frame
 # Sums of a few hundred float32 products, in other orders: relative to the largest value.
 NETWORK_TOLERANCE = 2e-5
 # A logit's error of 1e-5 moves an importance by as much, and the result by no more.
@@ -120,11 +122,16 @@ def image_unit(arrays: Mapping[str, np.ndarray], image: np.ndarray, spec: ModelS
     return unit
 
 
+def shape_of(name: str, height: int, width: int) -> tuple[int, int, int, int]:
+    """Of what decoders take by that name."""
+    return (1, CHANNELS[name], *((1, 1) if name in SCALARS else (height, width)))
+
+
 def random_arrays(rng: np.random.Generator, height: int, width: int) -> dict[str, np.ndarray]:
     """What decoders take, ``(1, c, h, w)`` float32 by name, with a firefly."""
 
     def of(name: str) -> tuple[int, int, int, int]:
-        return (1, CHANNELS[name], height, width)
+        return shape_of(name, height, width)
 
     arrays = {
         "irradiance": rng.lognormal(0, 2, of("irradiance")),
@@ -134,6 +141,7 @@ def random_arrays(rng: np.random.Generator, height: int, width: int) -> dict[str
         "divisor": rng.uniform(0.1, 1, of("divisor")),
         "previous": rng.lognormal(0, 2, of("previous")),
         "valid": rng.uniform(0, 1, of("valid")),
+        "exposure": rng.lognormal(0, 2, of("exposure")),
     }
     arrays["irradiance"][:, :, 0, 0] = 1e5
     return {name: value.astype(np.float32) for name, value in arrays.items()}
@@ -172,6 +180,7 @@ def _in_runtime(
         sample=np.concatenate([arrays[name][0] for name in ("new", "worth")]),
         remodulation_albedo=interleaved("divisor") if FAMILIES[spec.family].modulates else None,
         previous=interleaved("previous", "valid") if model.looks.previous_output else None,
+        exposure=arrays["exposure"].item(),
     )
     return model.reconstruct(light, logits, Strips(1), {})
 

@@ -54,7 +54,7 @@ class WholeDenoise(nn.Module):
         self.spec = spec
 
     def forward(self, features: Tensor, *arrays: Tensor) -> Tensor:
-        """``(n, features, h, w)`` and the family's inputs, ``(n, c, h, w)``, to an image."""
+        """``(n, features, h, w)`` and the family's inputs to an image, see `parity.shape_of`."""
         family = FAMILIES[self.spec.family]
         batch = dict(zip(family.inputs, arrays, strict=True))
         return family.decode(self.network(features), batch, self.spec, pooled_box_mean)
@@ -97,14 +97,14 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
     }
     alone = network_graph(fused, spec, provenance)
     family = FAMILIES[spec.family]
-    arrays = [torch.ones(1, parity.CHANNELS[name], *EXAMPLE) for name in family.inputs]
+    arrays = [torch.ones(parity.shape_of(name, *EXAMPLE)) for name in family.inputs]
     axes = axes_of(spec)
     whole = to_model(
         WholeDenoise(fused, spec).eval(),
         (example_features(spec), *arrays),
         ["features", *family.inputs],
         ["denoised"],
-        (axes, tuple(axes for _ in arrays)),
+        (axes, tuple({} if name in parity.SCALARS else axes for name in family.inputs)),
         metadata_of(spec, provenance),
     )
     # what the runtime would refuse is found here, not by who runs the model

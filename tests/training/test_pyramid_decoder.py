@@ -39,7 +39,9 @@ def test_the_twin_equals_the_runtime(finest, predicted, distances, filters):
         filter_features=3 * bool(filters),
     )
     mean, sample, albedo, previous, logits = draw(16, 24, options=options)
-    light = Filterable(mean=mean, sample=sample, remodulation_albedo=albedo, previous=previous)
+    light = Filterable(
+        mean=mean, sample=sample, remodulation_albedo=albedo, previous=previous, exposure=0.3
+    )
     wanted = filter_pyramid(light, logits, options, Strips(1))
     maps = [torch.from_numpy(level)[None] for level in logits]
     past, new, before = _nchw(mean), torch.from_numpy(sample)[None], _nchw(previous)
@@ -47,5 +49,6 @@ def test_the_twin_equals_the_runtime(finest, predicted, distances, filters):
     blend, weights = parts[0].sample_blend, parts[0].resolve
     given = blended_with_sample(past[:, :3], past[:, 3:], new[:, :3], new[:, 3:], blend)
     image = kernel_pyramid(*given, parts, options) * _nchw(albedo)
-    image = resolve(image, weights, before[:, :3], before[:, 3:])
+    tone = torch.full((1, 1, 1, 1), options.resolve_tone * 0.3)
+    image = resolve(image, weights, before[:, :3], before[:, 3:], tone)
     np.testing.assert_allclose(image[0].permute(1, 2, 0), wanted, rtol=2e-5)

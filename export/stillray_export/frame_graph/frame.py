@@ -301,7 +301,9 @@ class FrameGraph(nn.Module):
         # what was added to whole cells goes before pixels are mixed with their neighbours
         image = image[..., :height, :width] * frame.divisor
         weights = maps[0].resolve[..., :height, :width]
-        return resolve(image, weights, frame.previous, frame.valid)
+        toned = self.options.resolve_tone
+        tone = toned * frame.exposure.reshape(1, 1, 1, 1) if toned else None
+        return resolve(image, weights, frame.previous, frame.valid, tone)
 
 
 def repaired(

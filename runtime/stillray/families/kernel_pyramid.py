@@ -59,9 +59,9 @@ class KernelPyramidModel(TemporalKernels):
         assert isinstance(spec.decoder, PyramidKernels)
         assert isinstance(spec.network, PyramidNetwork)
         self._options, coarsest = spec.decoder, alignment(spec.network)
-        levels = spec.network.resolutions
-        self.method = f"kernels at {levels} resolutions, resolved with the last output"
-        self.cost = kernel_pyramid_cost(levels, spec.decoder)
+        self._levels = spec.network.resolutions
+        self.method = f"kernels at {self._levels} resolutions, resolved with the last output"
+        self.cost = kernel_pyramid_cost(self._levels, spec.decoder)
         # doubling looks into the neighbouring cell: 1.5 cells of every level above the finest,
         # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, and the resolve
         radii = (size // 2 for size in spec.decoder.kernel_sizes)
@@ -84,13 +84,48 @@ class KernelPyramidModel(TemporalKernels):
         strips: Strips,
         timings: dict[str, float],
     ) -> np.ndarray:
-        """Filter, remodulate and resolve, see `TemporalKernels`."""
+        """Filter, remodulate and resolve, see `TemporalKernels`.
+
+        After the outputs comes, perhaps, what `frozen` found.
+        """
+        logits, frozen = outputs[: self._levels], outputs[self._levels :]
+        toned = frozen[0] if frozen else None
         with timed(timings, "reconstruct"):
-            return filter_pyramid(light, outputs, self._options, strips)
+            return filter_pyramid(light, logits, self._options, strips, toned)
+
+    def frozen(
+        self, light: Filterable, outputs: Sequence[np.ndarray], strips: Strips
+    ) -> Sequence[np.ndarray]:
+        """Outputs by which other layers are filtered as the frame's light was.
+
+        Which neighbours are the brighter ones is for the color to say: layers add up to it only if
+        theirs weigh the same.
+
+        Returns
+        -------
+        list of arrays
+            The outputs, then what is compared of the color, ``(h, w)``, where it is.
+        """
+        if not self._options.resolve_tone:
+            return outputs
+        outputs = _numbers(outputs)
+        toned = np.empty(light.mean.shape[:2], np.float32)
+        finest = _finest(light, outputs, self._options, strips)
+
+        def work(rows: slice) -> None:
+            unresolved = finest.unresolved(rows, light, strips.workspace)
+            toned[rows] = finest.toned(unresolved, light, strips.workspace)[1:-1, 1:-1]
+
+        strips.run(work, *toned.shape)
+        return [*outputs, toned]
 
 
 def filter_pyramid(
-    light: Filterable, logits: Sequence[np.ndarray], options: PyramidKernels, strips: Strips
+    light: Filterable,
+    logits: Sequence[np.ndarray],
+    options: PyramidKernels,
+    strips: Strips,
+    toned: np.ndarray | None = None,
 ) -> np.ndarray:
     """Filter, re-modulate and resolve a frame.
 
@@ -106,6 +141,8 @@ def filter_pyramid(
         Kernel sizes and the bound of the logits.
     strips
         Where the work runs.
+    toned : (h, w) float32 or None
+        What tells brighter neighbours, of the light that the weights were made for; None for this.
 
     Returns
     -------
@@ -113,19 +150,41 @@ def filter_pyramid(
         Radiance: for every pixel a convex combination of the irradiance around it, accumulated
         and new, times the divisors of its 3x3 neighbours, and of the previous output.
     """
-    image = _filtered(light, logits, options, strips)
+    image = _filtered(light, logits, options, strips, toned)
     # A logit that is not a number says nothing: 0. It shows in the image, which is a fifth of the
     # logits to look through.
     if np.isnan(image.max()) and any(np.isnan(level.max()) for level in logits):
-        logits = [np.nan_to_num(level, nan=0.0) for level in logits]
-        image = _filtered(light, logits, options, strips)
+        image = _filtered(light, _numbers(logits), options, strips, toned)
     return image
 
 
+def _numbers(logits: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Logits with 0 where they are not numbers."""
+    return [np.nan_to_num(level, nan=0.0) for level in logits]
+
+
 def _filtered(
-    light: Filterable, logits: Sequence[np.ndarray], options: PyramidKernels, strips: Strips
+    light: Filterable,
+    logits: Sequence[np.ndarray],
+    options: PyramidKernels,
+    strips: Strips,
+    toned: np.ndarray | None,
 ) -> np.ndarray:
     height, width = light.mean.shape[:2]
+    image = np.empty((height, width, 3), np.float32)
+    finest = _finest(light, logits, options, strips)
+
+    def work(rows: slice) -> None:
+        finest.resolve(rows, light, toned, image[rows], strips.workspace)
+
+    strips.run(work, height, width)
+    return image
+
+
+def _finest(
+    light: Filterable, logits: Sequence[np.ndarray], options: PyramidKernels, strips: Strips
+) -> _Level:
+    """The finest level with all that it is blended of, filtered where the model does that."""
     levels = len(logits)
     maps: list[np.ndarray | DepthToSpace] = list(logits)
     if levels > 1 and logits[0].shape[1:] == logits[1].shape[1:]:
@@ -148,7 +207,6 @@ def _filtered(
         blended = strips.workspace.array(f"blended {level}", padded)
         _Level(pyramid[level], coarser, maps[level], layout, options).blended(strips, blended)
         coarser = Doubled(blended, logits[level][layout.double], options)
-    image = np.empty((height, width, 3), np.float32)
     top = _Level(pyramid[0], coarser, maps[0], finest, options)
     if finest.filter_distances:
         bound, size = options.logit_bound, pyramid[0].shape[1:]
@@ -157,8 +215,7 @@ def _filtered(
             (size[0], size[1]), maps[0], finest, bound, strips,
         )  # fmt: skip
         top = replace(top, filtered=filtered)
-    strips.run(lambda rows: top.resolve(rows, light, image[rows], strips.workspace), height, width)
-    return image
+    return top
 
 
 def _whole_blocks(
@@ -278,9 +335,39 @@ class _Level:
         _repeat_border(result, top=True, bottom=True)
 
     def resolve(
-        self, rows: slice, light: Filterable, out: np.ndarray, workspace: Workspace
+        self,
+        rows: slice,
+        light: Filterable,
+        toned: np.ndarray | None,
+        out: np.ndarray,
+        workspace: Workspace,
     ) -> None:
         """Rows of the picture, ``(rows, w, 3)``: blended, remodulated and resolved."""
+        padded = self.unresolved(rows, light, workspace)
+        around: np.ndarray | None = None
+        if toned is not None:
+            margin = ((int(rows.start == 0), int(rows.stop == len(toned))), (1, 1))
+            around = np.pad(toned[max(rows.start - 1, 0) : rows.stop + 1], margin, mode="edge")
+        elif self.options.resolve_tone:
+            around = self.toned(padded, light, workspace)
+        past = None if light.previous is None else light.previous[rows]
+        logits = self.logits[self.layout.resolve, rows][..., : out.shape[1]]
+        weights = workspace.array("weights", logits.shape)
+        for logit, weight in zip(logits, weights, strict=True):
+            bounded_exp(logit, self.options.logit_bound, weight)
+        if around is not None:
+            _weigh_brighter_less(around, weights[: len(NEIGHBOURS)], workspace)
+        _resolve(padded, weights, past, out, workspace)
+
+    def toned(self, padded: np.ndarray, light: Filterable, workspace: Workspace) -> np.ndarray:
+        """What tells a picture's brighter pixels, ``(3, h, w)`` to ``(h, w)``: 1 + tone L."""
+        toned = luminance_of_planes(padded, workspace.array("toned", padded.shape[1:]))
+        toned *= self.options.resolve_tone * light.exposure
+        toned += 1
+        return toned
+
+    def unresolved(self, rows: slice, light: Filterable, workspace: Workspace) -> np.ndarray:
+        """Rows blended and remodulated, ``(3, rows + 2, w + 2)``: a pixel more on each side."""
         height, width = light.mean.shape[:2]
         # the resolve looks one pixel around; at the border of the frame that is repeated
         around, inner = with_halo(rows, 1, height)
@@ -297,10 +384,7 @@ class _Level:
             padded[:, filled, 1 : 1 + width] *= planes_of(light.remodulation_albedo[around], out=by)
         padded = padded[:, :, : width + 2]
         _repeat_border(padded, top=rows.start == 0, bottom=rows.stop == height)
-        past = None if light.previous is None else light.previous[rows]
-        logits = self.logits[self.layout.resolve, rows][..., :width]
-        tone = self.options.resolve_tone * light.exposure
-        _resolve(padded, logits, past, (self.options.logit_bound, tone), out, workspace)
+        return padded
 
     def blend(self, rows: slice, out: np.ndarray, workspace: Workspace) -> None:
         """Rows of the level, ``(3, rows, w)``: itself, its kernels and the coarser level."""
@@ -412,9 +496,8 @@ def _add_neighbours(
 
 def _resolve(
     padded: np.ndarray,
-    logits: np.ndarray,
+    weights: np.ndarray,
     previous: np.ndarray | None,
-    rules: tuple[float, float],
     out: np.ndarray,
     workspace: Workspace,
 ) -> None:
@@ -424,23 +507,14 @@ def _resolve(
     ----------
     padded : (3, h + 2, w + 2) float32
         Radiance, with one pixel more on each side.
-    logits : (9, h, w) float32
-        Of the neighbours and the previous output.
+    weights : (9, h, w) float32
+        Of the neighbours and the previous output; changed.
     previous : (h, w, 4) float32 or None
         The previous output, and how much of it is valid.
-    rules
-        The bound of the logits, and what luminance is multiplied by where a brighter neighbour
-        weighs less, 1 / radiance; 0: it does not.
     out : (h, w, 3) float32
         Written.
     """
     height, width = out.shape[:2]
-    bound, tone = rules
-    weights = workspace.array("weights", logits.shape)
-    for logit, weight in zip(logits, weights, strict=True):
-        bounded_exp(logit, bound, weight)
-    if tone:
-        _weigh_brighter_less(padded, weights[: len(NEIGHBOURS)], tone, workspace)
     normal = workspace.array("normal", (height, width))
     np.add(weights[0], weights[1], out=normal)
     for weight in weights[2:-1]:
@@ -462,28 +536,22 @@ def _resolve(
     interleave(resolved, out=out)
 
 
-def _weigh_brighter_less(
-    padded: np.ndarray, weights: np.ndarray, tone: float, workspace: Workspace
-) -> None:
-    """Multiply the weights of neighbours by (1 + tone L) / (1 + tone L'), at most 1.
+def _weigh_brighter_less(toned: np.ndarray, weights: np.ndarray, workspace: Workspace) -> None:
+    """Multiply the weights of brighter neighbours by how much brighter they are, as displayed.
 
-    A window sixty times as bright as the bar before it would show through a hundredth of its weight.
+    A window sixty times as bright as the bar before it would show through a hundredth of a weight.
 
     Parameters
     ----------
-    padded : (3, h + 2, w + 2) float32
-        Radiance, with one pixel more on each side.
+    toned : (h + 2, w + 2) float32
+        1 + tone L, see `_Level.toned`; made into its reciprocals.
     weights : (8, h, w) float32
         Of the neighbours; changed.
-    tone
-        What luminance is multiplied by, 1 / radiance.
     """
-    height, width = weights.shape[1:]
-    toned = luminance_of_planes(padded, workspace.array("toned", padded.shape[1:]))
-    toned *= tone
-    toned += 1
-    share = np.reciprocal(toned, out=workspace.array("share", toned.shape))
-    own, least = toned[1:-1, 1:-1], workspace.array("least", (height, width))
+    height, width = shape = weights.shape[1:]
+    own, less = workspace.array("own tone", shape), workspace.array("less", shape)
+    np.copyto(own, toned[1:-1, 1:-1])
+    np.reciprocal(toned, out=toned)
     for weight, (down, right) in zip(weights, NEIGHBOURS, strict=True):
-        np.multiply(own, share[1 + down :, 1 + right :][:height, :width], out=least)
-        weight *= np.minimum(least, 1, out=least)
+        np.multiply(own, toned[1 + down :, 1 + right :][:height, :width], out=less)
+        weight *= np.minimum(less, 1, out=less)

@@ -183,7 +183,13 @@ class FilteredLayers:
 
     @cached_property
     def _frozen(self) -> Sequence[np.ndarray]:
-        light = Filterable(mean=self._prepared.history.mean)
+        prepared = self._prepared
+        light = Filterable(
+            mean=prepared.history.mean,
+            sample=prepared.sample,
+            remodulation_albedo=prepared.remodulation_albedo,
+            exposure=prepared.history.exposure,
+        )
         return self._kernels.frozen(light, self._outputs, self._strips)
 
     @cached_property

@@ -171,6 +171,8 @@ class Filterable:
         What the result is multiplied by.
     previous : (h, w, 4) float32 or None
         Radiance of the previous output at these pixels, and how much of it is valid, [0, 1].
+    exposure
+        1 / irradiance.
     """
 
     mean: np.ndarray

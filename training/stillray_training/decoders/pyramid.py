@@ -14,7 +14,6 @@ from stillray.model_spec.loader import PyramidKernels
 from stillray_training.decoders.boxes import BoxMean
 from stillray_training.decoders.gaussian import gaussian
 
-
 _REC709 = (0.2126, 0.7152, 0.0722)
 
 
