@@ -92,7 +92,6 @@ def firefly_in_an_old_history(denoiser: stillray.Denoiser) -> float:
     "the same, eight frames later",
     "largest pixel / the same without it",
     4.5,
-    kpyr_5m=_TAKES_QUIET_SAMPLES,
     kpyr_5s=_TAKES_QUIET_SAMPLES,
 )
 def firefly_in_an_old_history_later(denoiser: stillray.Denoiser) -> float:
@@ -239,7 +238,6 @@ _TAKEN_FOR_A_FIREFLY = "the network spreads little of one bright pixel, however 
     "share of its light lost",
     0.25,
     kpyr_5=_TAKEN_FOR_A_FIREFLY,
-    kpyr_5m=_TAKEN_FOR_A_FIREFLY,
     kpyr_5s=_TAKEN_FOR_A_FIREFLY,
     wskp_mr=_TAKEN_FOR_A_FIREFLY,
     wskp_6=_TAKEN_FOR_A_FIREFLY,
