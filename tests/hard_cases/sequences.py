@@ -275,7 +275,6 @@ def shadow_moves_in_little_noise(denoiser: stillray.Denoiser) -> Iterator[float]
     "the same, 256 samples",
     _WITH_AND_WITHOUT,
     1.1,
-    kpyr_5=_HIDDEN_BY_NOISE,
     kpyr_5s=_HIDDEN_BY_NOISE,
 )
 def shadow_moves_in_quiet_frames(denoiser: stillray.Denoiser) -> Iterator[float]:
