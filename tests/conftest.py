@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import os
+import sys
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +16,7 @@ import pytest
 from stillray.families.temporal_kernels import history_of
 from stillray.frame import Frame
 from stillray.model_spec import ModelSpec, load
+from stillray.models.registry import find_model
 from stillray.pipeline.denoiser import Denoiser
 from stillray.stages.state import History
 
@@ -28,6 +33,37 @@ ODD_SIZES = [(1, 1), (3, 5), (33, 18), (64, 97)]
 @pytest.fixture
 def spec() -> ModelSpec:
     return load("wskp-3s")
+
+
+@pytest.fixture(scope="session")
+def frame_graph(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """The frame graph of a packaged model, by its name: made once a run for all that ask."""
+    from filelock import FileLock  # torch needs it, which frame graphs need
+
+    from stillray_export.frame_graph.export import write
+
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent  # of all workers
+
+    def path_of(name: str) -> Path:
+        path = folder / f"{name}.frame.onnx"
+        with FileLock(f"{path}.lock"):
+            return path if path.is_file() else write(find_model(name), folder)
+
+    return path_of
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _operators_of_the_exporter() -> Iterator[None]:
+    """torch lists all operators that it can export anew for every graph, half a second: once."""
+    if "stillray_training.onnx_graph" not in sys.modules:  # nothing is exported
+        yield
+        return
+    registry = importlib.import_module("torch.onnx._internal.exporter._registration").ONNXRegistry
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(registry, "from_torchlib", staticmethod(cache(registry.from_torchlib)))
+        yield
 
 
 @pytest.fixture

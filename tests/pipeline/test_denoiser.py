@@ -402,7 +402,8 @@ def test_the_command_line_loads_no_evaluation_until_it_is_asked_for():
 
 @pytest.mark.parametrize("model", ["wskp-3s", "kpyr-5", "kpyr-5s"])
 def test_a_warm_frame_takes_no_new_memory_but_for_its_picture(model):
-    frames = swing(540, 960)  # strips are much smaller
+    height, width = 360, 640  # strips are much smaller
+    frames = swing(height, width)
     with stillray.Denoiser(model, threads=1) as denoiser:
         for turn in range(4):
             denoiser.denoise(frames[turn % 2])
@@ -411,7 +412,7 @@ def test_a_warm_frame_takes_no_new_memory_but_for_its_picture(model):
         picture = denoiser.denoise(frames[0])
         after, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
-    plane = 4 * 540 * 960
+    plane = 4 * height * width
     # the picture is the caller's; nothing else stays, histories change places
     assert after - before < picture.nbytes + plane / 2
     assert peak - before < 4 * plane

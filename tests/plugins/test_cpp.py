@@ -19,8 +19,6 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from stillray import read_exr  # noqa: E402
-from stillray.models.registry import find_model  # noqa: E402
-from stillray_export.frame_graph.export import write  # noqa: E402
 from tests.export.frame_graph.test_frame_graph import Graph  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
@@ -58,8 +56,8 @@ def program(tmp_path_factory):
     return made
 
 
-def test_pictures_of_a_sequence_are_pythons(program, tmp_path):
-    graph = Graph(write(find_model("kpyr-5s"), tmp_path))
+def test_pictures_of_a_sequence_are_pythons(program, frame_graph, tmp_path):
+    graph = Graph(frame_graph("kpyr-5s"))
     paths = sorted((ROOT / "tests/data/room").glob("frame_*.exr"))[:FRAMES]
     frames = [read_exr(path) for path in paths]
     sizes = dumper().dump(frames, tmp_path / "frames")

@@ -18,8 +18,6 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from stillray.models.registry import find_model  # noqa: E402
-from stillray_export.frame_graph.export import write  # noqa: E402
 from stillray_export.frame_graph.moving import sequence  # noqa: E402
 from tests.export.frame_graph.test_frame_graph import Graph, decibels  # noqa: E402
 
@@ -48,9 +46,9 @@ MEASURE = module_of("measure")
 
 
 @pytest.fixture(scope="module")
-def graph(tmp_path_factory):
+def graph(frame_graph):
     """The smaller of the kernel pyramids."""
-    return Graph(write(find_model("kpyr-5s"), tmp_path_factory.mktemp("graph")))
+    return Graph(frame_graph("kpyr-5s"))
 
 
 @pytest.fixture(scope="module")

@@ -157,20 +157,19 @@ def test_predicted_kernels_without_preference_are_a_box_over_accumulated_light(t
 
 
 def test_one_command_trains_scores_times_and_reports(tmp_path, monkeypatch):
-    small = [tiny("wskp-6"), tiny("KP"), tiny("MR-KP")]
+    small = [tiny("wskp-6"), tiny("MR-KP")]
     monkeypatch.setattr(command, "study", lambda: small)
     out, report = tmp_path / "out", tmp_path / "page.md"
     steps = {"out": out, "data": [DATA], "validation": DATA, "height": 20, "width": 30}
     command.main(**steps, rounds=2, report=report, pictures=tmp_path / "pictures")
     page = report.read_text()
     assert "| wskp-6 | " in page
-    assert "| KP | " in page
     assert "| MR-KP | " in page
     assert "Accumulation on and off" in page
-    assert len(list((tmp_path / "pictures").glob("room-*.png"))) == 5
+    assert len(list((tmp_path / "pictures").glob("room-*.png"))) == 3
     found = results.read_results(small, out)
     assert found.size == (20, 30)
-    assert set(found.mean("MR-KP")) == set(found.mean("KP")) <= set(measure.METRICS)
+    assert set(found.mean("MR-KP")) == set(found.mean("wskp-6")) <= set(measure.METRICS)
     assert set(found.milliseconds["MR-KP"]) == {"network", "reconstruct", "both"}
     assert found.ratios["wskp-6"] == {"network": 1, "reconstruct": 1, "both": 1}
     # what is done is not done again
@@ -185,7 +184,7 @@ def test_one_command_trains_scores_times_and_reports(tmp_path, monkeypatch):
     (folder_of(small[0], out) / CHECKPOINT).unlink()
     command.main(**steps)
     after = [path.stat().st_mtime_ns for path in files]
-    changed = [True, True, False, False, False, False]
+    changed = [True, True, False, False]
     assert [old != new for old, new in zip(before, after, strict=True)] == changed
 
 

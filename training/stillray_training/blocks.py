@@ -16,9 +16,14 @@ from stillray_training.simulate.sequence import RECORD
 _FEW = 8.0  # samples below which a frame's guides are those of one block, as noisy as its light
 
 
+def frame_paths(sequence: Path) -> list[Path]:
+    """The files of a folder's frames, in order."""
+    return sorted(sequence.glob("frame_*.exr"))
+
+
 def frames_of(sequence: Path) -> list[Frame]:
-    """The frames of a folder, in order."""
-    return [read_exr(path) for path in sorted(sequence.glob("frame_*.exr"))]
+    """The frames of a folder, in order, all at once."""
+    return [read_exr(path) for path in frame_paths(sequence)]
 
 
 def read_blocks(sequence: Path, last: Frame, spp: float) -> list[tuple[Frame, float]]:

@@ -17,6 +17,7 @@ from stillray.io.exr.read_write import read_exr
 from stillray.model_spec import load
 from stillray.stages.prepare import prepare
 from stillray.stages.state import History
+from stillray_training.blocks import frame_paths
 
 
 def main(
@@ -29,7 +30,7 @@ def main(
     lost: list[tuple[str, float]] = []
     for sequence in track(sequences, description="sequences", transient=True):
         history: History | None = None
-        for path in sorted(sequence.glob("frame_*.exr")):
+        for path in frame_paths(sequence):
             prepared = prepare(read_exr(path), spec, history, strips)
             history = prepared.history
             total += 1

@@ -32,10 +32,9 @@ _NEUTRAL = {
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory):
-    """Frame graphs by their model's name, made and opened when they are first asked for."""
-    folder = tmp_path_factory.mktemp("frame")
-    return cache(lambda name: Graph(write(find_model(name), folder)))
+def exported(frame_graph):
+    """Frame graphs by their model's name, opened when they are first asked for."""
+    return cache(lambda name: Graph(frame_graph(name)))
 
 
 @pytest.fixture

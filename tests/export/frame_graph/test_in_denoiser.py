@@ -27,10 +27,9 @@ from stillray.frame import Frame  # noqa: E402
 from stillray.io.exr.read_write import read_exr, read_picture, write_channels  # noqa: E402
 from stillray.models.frame_graph import PORTS_KEY  # noqa: E402
 from stillray.models.frame_session import FrameSession, device_of  # noqa: E402
-from stillray.models.registry import find_model, with_overrides  # noqa: E402
+from stillray.models.registry import with_overrides  # noqa: E402
 from stillray.profiling import report, results  # noqa: E402
 from stillray.profiling.machine import PeakRates  # noqa: E402
-from stillray_export.frame_graph.export import write  # noqa: E402
 from stillray_export.frame_graph.moving import sequence  # noqa: E402
 
 NAME = "kpyr-5s"
@@ -43,8 +42,8 @@ PARITY = 80
 
 
 @pytest.fixture(scope="module")
-def path(tmp_path_factory):
-    return write(find_model(NAME), tmp_path_factory.mktemp("graph"))
+def path(frame_graph):
+    return frame_graph(NAME)
 
 
 @pytest.fixture
@@ -144,12 +143,12 @@ def test_other_layers_and_other_settings_are_refused(denoiser):
         with_overrides(denoiser.model, max_samples=4)
 
 
-def test_profile_tells_time_size_and_nodes_of_a_graph(path, capsys, monkeypatch):
+def test_profile_tells_time_size_and_nodes_of_a_graph(path, tmp_path, capsys, monkeypatch):
     peaks = PeakRates(operations=1e11, bandwidth=1e10)
     monkeypatch.setattr(results, "measure_peak_rates", lambda threads: peaks)
     measured, as_dict = [], report.as_dict
     monkeypatch.setattr(report, "as_dict", lambda *told: measured.append(told[0]) or as_dict(*told))
-    plot = path.parent / "plot.png"
+    plot = tmp_path / "plot.png"
     options = ["--size", "33x17", "--threads", "1", "--seconds", "0", "--no-memory", "--json"]
     command = ["profile", "-m", str(path), "--provider", CPU, "--plot", str(plot)]
     assert main([*command, *options]) == 0

@@ -19,8 +19,8 @@ SIZE = (20, 33)
 
 
 @pytest.fixture(scope="module")
-def graph(tmp_path_factory):
-    return export.write(find_model(NAME), tmp_path_factory.mktemp("graph"))
+def graph(frame_graph):
+    return frame_graph(NAME)
 
 
 def brighter(graph, path, output, factor):

@@ -33,6 +33,7 @@ from stillray.families.registry import FAMILIES
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr, read_picture
 from stillray.pipeline.denoiser import Denoiser
+from stillray_training.blocks import frame_paths
 from stillray_training.online.to_and_fro import to_and_fro
 from stillray_training.peers.oidn import OpenImageDenoise
 
@@ -111,7 +112,7 @@ def measure(
     last
         How many of the last frames to run; None for all.
     """
-    paths = sorted(sequence.glob("frame_*.exr"))[-last if last else None :]
+    paths = frame_paths(sequence)[-last if last else None :]
     if not paths:
         raise InputError(f"sequence must hold frame_0000.exr and so on, got {sequence}")
     known = {int(path.stem[-4:]): path for path in sorted(references.glob("ref_*.exr"))}

@@ -17,6 +17,7 @@ from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import FeatureFilters
 from stillray.stages import features
 from stillray.stages.accumulate import bounded
+from stillray_training.blocks import frame_paths
 from stillray_training.simulate.sequence import RECORD
 
 
@@ -61,7 +62,7 @@ def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
     references: list[Frame] = []
     exposures: list[float] = []
     units: list[float] = []
-    for path in sorted(sequence.glob("frame_*.exr")):
+    for path in frame_paths(sequence):
         frame = read_exr(path)
         number = int(path.stem.split("_")[1])
         motion, depth = frame.motion, frame.depth
