@@ -51,7 +51,8 @@ def costs(
         (mi.TensorXf(f.color), mi.TensorXf(f.albedo), mi.TensorXf(f.normal), mi.TensorXf(-f.motion))
         for f in swing(*shape)
     ]
-    found, before = [], frames[0][0]
+    found: list[tuple[float, ...]] = []
+    before = frames[0][0]
     with Denoiser(shape[::-1], albedo=True, normals=True, temporal=True) as denoiser:
         denoiser.stream.close()
         denoiser.stream = stream = _Timed(model, threads=threads)
