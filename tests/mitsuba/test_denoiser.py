@@ -12,6 +12,7 @@ import pytest
 import stillray
 from stillray.errors import InputError
 from stillray.mitsuba import FAR, Denoiser, flow
+from stillray_training.mitsuba_cost import costs
 from tests.conftest import make_frame
 
 mi.set_variant("scalar_rgb")
@@ -162,6 +163,12 @@ def test_what_is_missing_or_wrong_is_said(frames):
         denoiser(noisy, flow=noisy)
     with pytest.raises(InputError, match="input_size"):
         Denoiser((0, 4))
+
+
+def test_a_call_takes_longer_than_its_stream():
+    found = costs("fast", (HEIGHT, WIDTH), 3, threads=1)
+    assert np.shape(found) == (3, 2)
+    assert np.min(found) > 0
 
 
 # Flow

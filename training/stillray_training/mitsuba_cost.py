@@ -53,7 +53,7 @@ def costs(
     ]
     found: list[tuple[float, ...]] = []
     before = frames[0][0]
-    with Denoiser(shape[::-1], albedo=True, normals=True, temporal=True) as denoiser:
+    with Denoiser(shape[::-1], True, True, temporal=True, model=model, threads=1) as denoiser:
         denoiser.stream.close()
         denoiser.stream = stream = _Timed(model, threads=threads)
         for index in range(count + 2):
