@@ -47,10 +47,7 @@ def costs(
     count
         Calls.
     """
-    frames = [
-        (mi.TensorXf(f.color), mi.TensorXf(f.albedo), mi.TensorXf(f.normal), mi.TensorXf(-f.motion))
-        for f in swing(*shape)
-    ]
+    frames = [_tensors(frame) for frame in swing(*shape)]
     found: list[tuple[float, ...]] = []
     before = frames[0][0]
     with Denoiser(shape[::-1], True, True, temporal=True, model=model, threads=1) as denoiser:
@@ -64,6 +61,13 @@ def costs(
             parts = zip(start, ends, stream.took, strict=True)
             found.append(tuple(1e3 * (end - began - took) for began, end, took in parts))
     return found[2:]
+
+
+def _tensors(frame: stillray.Frame) -> list[Any]:
+    """Color, albedo, normals and flow."""
+    names = ("color", "albedo", "normal", "motion")
+    *images, motion = (np.asarray(getattr(frame, name)) for name in names)
+    return [mi.TensorXf(image) for image in (*images, -motion)]
 
 
 def main() -> None:
