@@ -20,6 +20,7 @@ from stillray.pipeline.denoiser import Denoiser as _Stream
 
 #: Flow of points that were behind the camera: pixels, beyond every picture.
 FAR = 1e6
+_ROWS = 16  # compared at once
 
 
 class Denoiser:
@@ -38,6 +39,11 @@ class Denoiser:
         Whether a fourth channel is filtered as the colors are, or kept as it is.
     model, threads
         As `stillray.Denoiser` takes them.
+
+    Attributes
+    ----------
+    stream
+        The `stillray.Denoiser` that does the work: the times of its stages, its state.
 
     Raises
     ------
@@ -67,7 +73,8 @@ class Denoiser:
         self._shape = (height, width)
         self._albedo, self._normals = albedo, normals
         self._temporal, self._denoise_alpha = temporal, denoise_alpha
-        self._stream = _Stream(model, threads=threads, temporal=temporal)
+        self._motion = np.empty((height, width, 2 if temporal else 0), np.float32)
+        self.stream = _Stream(model, threads=threads, temporal=temporal)
 
     def __call__(
         self,
@@ -127,11 +134,11 @@ class Denoiser:
 
     def reset(self) -> None:
         """Begin a new sequence."""
-        self._stream.reset()
+        self.stream.reset()
 
     def close(self) -> None:
         """Stop the threads."""
-        self._stream.close()
+        self.stream.close()
 
     def __enter__(self) -> Denoiser:
         return self
@@ -158,12 +165,18 @@ class Denoiser:
             if wanted and name not in arrays:
                 raise InputError(f"{name} must be given: the denoiser was made for it")
             if wanted:
-                buffers[buffer] = -arrays[name] if name == "flow" else arrays[name]
+                buffers[buffer] = arrays[name] if name != "flow" else self._motion_of(arrays[name])
         before = arrays.get("previous_denoised")
-        if before is not None and np.array_equal(before, picture, equal_nan=True):
-            self._stream.reset()
+        if before is not None and _equal(before, picture):
+            self.stream.reset()
         denoise_alpha = self._denoise_alpha and picture.shape[2] == 4
-        return self._stream.denoise(Frame(color=picture, **buffers), denoise_alpha=denoise_alpha)
+        return self.stream.denoise(Frame(color=picture, **buffers), denoise_alpha=denoise_alpha)
+
+    def _motion_of(self, flow: np.ndarray) -> np.ndarray:
+        """The negative of it, in memory that is used frame after frame."""
+        if flow.shape != self._motion.shape:
+            raise InputError(f"flow must have shape {self._motion.shape}, got {flow.shape}")
+        return np.negative(flow, out=self._motion, casting="same_kind")
 
 
 def flow(position: Any, camera_before: Any, camera_now: Any) -> np.ndarray:
@@ -248,6 +261,14 @@ def _matrix(transform: Any) -> np.ndarray:
 def _array(value: Any) -> np.ndarray:
     array = np.asarray(value)
     return array if array.dtype.kind == "f" else array.astype(np.float32)
+
+
+def _equal(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two pictures are, NaN too: rows by rows, as the first ones mostly tell them apart."""
+    return one.shape == other.shape and all(
+        np.array_equal(one[y : y + _ROWS], other[y : y + _ROWS], equal_nan=True)
+        for y in range(0, len(one), _ROWS)
+    )
 
 
 def _layers_of(

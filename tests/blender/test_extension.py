@@ -1,7 +1,7 @@
 """The Blender extension, built, installed and used in Blender.
 
-Needs a Python that has ``bpy`` (``pip install bpy==5.0.1``, Python 3.11, 300 MB): this one, or that
-which STILLRAY_BLENDER_PYTHON names. Fetches the wheels that the extension brings.
+Needs a Python that has ``bpy`` (``make programs``, Python 3.11, 300 MB): this one, or that which
+STILLRAY_BLENDER_PYTHON names, as ``make test`` sets it. Fetches the wheels of the extension.
 """
 
 import importlib.util
@@ -22,7 +22,8 @@ HALF = 2**-11  # the largest relative error of rounding to half precision
 
 if not PYTHON:
     pytest.skip(
-        "no Python with bpy here, and STILLRAY_BLENDER_PYTHON names none", allow_module_level=True
+        "no Python with bpy here (make programs), and STILLRAY_BLENDER_PYTHON names none",
+        allow_module_level=True,
     )
 
 

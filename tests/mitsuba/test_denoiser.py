@@ -12,6 +12,7 @@ import pytest
 import stillray
 from stillray.errors import InputError
 from stillray.mitsuba import FAR, Denoiser, flow
+from stillray_training.mitsuba_cost import costs
 from tests.conftest import make_frame
 
 mi.set_variant("scalar_rgb")
@@ -84,6 +85,25 @@ def test_a_sequence_of_tensors_is_the_bare_stream(frames, stream):
         np.testing.assert_array_equal(np.array(first), stream.denoise(single))
 
 
+def test_only_the_noisy_picture_itself_begins_anew(frames, stream):
+    first, second = (stillray.Frame(color=f.color, motion=f.motion) for f in frames[:2])
+    first.color[0, 0] = second.color[0, 0] = np.nan
+    nearly = second.color.copy()
+    nearly[-1, -1, 2] += 1
+    stream.denoise(first)
+    wanted = {"with a past": stream.denoise(second)}
+    stream.reset()
+    wanted["anew"] = stream.denoise(second)
+    for how, before in (("with a past", nearly), ("anew", second.color)):
+        with Denoiser((WIDTH, HEIGHT), temporal=True, **FAST) as denoiser:
+            for frame, previous in ((first, None), (second, before)):
+                flow_now = tensor(-frame.motion)
+                previous = None if previous is None else tensor(previous)
+                clean = denoiser(tensor(frame.color), flow=flow_now, previous_denoised=previous)
+            np.testing.assert_array_equal(np.array(clean), wanted[how])
+    assert not np.array_equal(wanted["anew"], wanted["with a past"])
+
+
 def test_a_bitmap_of_many_channels_is_the_same_as_tensors(frames):
     frame = frames[0]
     flow_now = -frame.motion
@@ -136,8 +156,19 @@ def test_what_is_missing_or_wrong_is_said(frames):
             denoiser(bitmap, albedo_ch="alb")
         with pytest.raises(InputError, match="albedo_channel is no argument"):
             denoiser(bitmap, albedo_channel="alb")
+    with (
+        Denoiser((WIDTH, HEIGHT), temporal=True, **FAST) as denoiser,
+        pytest.raises(InputError, match=r"flow must have shape \(24, 32, 2\), got \(24, 32, 3\)"),
+    ):
+        denoiser(noisy, flow=noisy)
     with pytest.raises(InputError, match="input_size"):
         Denoiser((0, 4))
+
+
+def test_a_call_takes_longer_than_its_stream():
+    found = costs("fast", (HEIGHT, WIDTH), 3, threads=1)
+    assert np.shape(found) == (3, 2)
+    assert np.min(found) > 0
 
 
 # Flow

@@ -1,7 +1,7 @@
 """The package for browsers, in Node and in Chromium, beside the same graph in Python.
 
-Needs the packages of ``npm install --ignore-scripts --prefix plugins/web``, and for the page
-Chromium and playwright, as the comparison page's tests do.
+Needs the packages that ``make programs`` has npm install, and for the page Chromium and playwright,
+as the comparison page's tests do.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FRAMES = sequence(3, 37, 50)
 
 def needs(package: str) -> pytest.MarkDecorator:
     there = (PACKAGES / package).is_dir() and shutil.which("node") is not None
-    return pytest.mark.skipif(not there, reason=f"npm has not installed {package}")
+    return pytest.mark.skipif(not there, reason=f"npm has not installed {package}: make programs")
 
 
 def module_of(name):

@@ -1,25 +1,11 @@
-"""Albedo, luminance and tone, the twins of `stillray.stages.demodulate` and parts of `features`."""
+"""Luminance and tone, the twins of parts of `stillray.stages.features`."""
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from stillray.model_spec.loader import Demodulate
-
 _REC709 = (0.2126, 0.7152, 0.0722)
-
-
-def is_black(albedo_nchw: Tensor, options: Demodulate) -> Tensor:
-    """1 where no channel says anything, ``(1, 1, h, w)``."""
-    return (albedo_nchw.amax(1, keepdim=True) <= options.black).to(torch.float32)
-
-
-def divisor(albedo_nchw: Tensor, options: Demodulate) -> Tensor:
-    """What radiance is divided by, ``(1, 3, h, w)``, see `stillray.stages.demodulate`."""
-    black = is_black(albedo_nchw, options)
-    return torch.where(black > 0, 1.0, albedo_nchw.clamp(options.floor, 1)) + options.specular
 
 
 def luminance(planes_nchw: Tensor) -> Tensor:

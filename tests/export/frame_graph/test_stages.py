@@ -45,6 +45,7 @@ from stillray_export.frame_graph import (  # noqa: E402
 )
 from stillray_export.frame_graph import repair as graph_repair  # noqa: E402
 from stillray_export.frame_graph.moving import sequence  # noqa: E402
+from stillray_training.decoders.demodulate import divisor  # noqa: E402
 
 SPEC = load("kpyr-5")
 SIZES = ((1, 1), (3, 17), (33, 18), (40, 49))
@@ -126,7 +127,7 @@ def test_local_luminance_and_divisor(size):
     given = np.random.default_rng(2).uniform(0, 0.3, (*size, 3)).astype(np.float32)
     given[::2, ::2] = 0
     wanted = demodulate.demodulation_albedo(given, SPEC.demodulate)
-    np.testing.assert_array_equal(image(light.divisor(planes(given), SPEC.demodulate)), wanted)
+    np.testing.assert_array_equal(image(divisor(planes(given), SPEC.demodulate)), wanted)
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -12,7 +12,7 @@ from torch.nn import functional as F
 
 from stillray.families.feature_reconstruction import Rules
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
-from stillray.model_spec.loader import Demodulate
+from stillray_training.decoders.demodulate import divisor
 from stillray_training.decoders.gaussian import gaussian
 
 
@@ -104,13 +104,6 @@ def reconstruct(
     held = finest[:, layout.output : layout.output + 1].sigmoid() * known
     image = image * (1 - held) + held * past.output[:, :3]
     return image, (light, albedo, specular)
-
-
-def divisor(albedo_nchw: Tensor, options: Demodulate) -> Tensor:
-    """What light is divided by, see `stillray.stages.demodulate.demodulation_albedo`."""
-    raised = albedo_nchw.clamp(options.floor, 1.0)
-    black = (albedo_nchw <= options.black).all(1, keepdim=True)
-    return torch.where(black, torch.ones_like(raised), raised) + options.specular
 
 
 def _filtered(values: Tensor, maps: Tensor, planes: GaussianPlanes) -> Tensor:
