@@ -282,6 +282,19 @@ def test_halves_accumulate_each_its_own_samples(online):
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.1
 
 
+def test_a_still_run_does_not_drift(online):
+    """Learning frame after frame, from the same picture, neither darkens nor blurs it."""
+    errors, light = [], []
+    for seed in range(30):
+        frame, clean = still(seed)
+        image = online.denoise(frame)
+        errors.append(float(((image - clean) ** 2).mean()))
+        light.append(float(image.mean() / clean.mean()))
+    assert learned(online).steps == 30
+    assert np.mean(errors[-5:]) < 1.25 * np.mean(errors[8:13])
+    assert np.mean(light[-5:]) == pytest.approx(1, abs=0.1)
+
+
 def test_a_lamp_that_is_switched_leaves_no_light_of_the_past(online):
     for seed in range(6):
         online.denoise(still(seed)[0])
