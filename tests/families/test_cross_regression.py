@@ -27,8 +27,8 @@ def oracle(explains, explained, guides):
     noise = oracle_deviation(explains)
     _, height, width = explains.shape
     sums, weights = np.zeros((3, height, width)), np.zeros((height, width))
-    for center_y in range(2, height + 2, 4):
-        for center_x in range(2, width + 2, 4):
+    for center_y in range(3, height + 3, 6):
+        for center_x in range(3, width + 3, 6):
             cy, cx = min(center_y, height - 1), min(center_x, width - 1)
             rows, places, w, y = [], [], [], []
             for py in range(center_y - REACH, center_y + REACH + 1):
@@ -40,7 +40,8 @@ def oracle(explains, explained, guides):
                     color = apart / (sum(sigmas) + NOISE)
                     rows.append([1, *color, *(guides[:, py, px] - guides[:, cy, cx])])
                     variance = sigmas[0] ** 2 + sigmas[1] ** 2 + NOISE**2
-                    w.append(np.exp(-(apart**2).sum() / variance))
+                    other = guides[:, py, px] - guides[:, cy, cx]
+                    w.append(np.exp(-(apart**2).sum() / variance - (other**2).sum()))
                     y.append(explained[:, py, px])
                     places.append((py, px))
             x, w, y = np.array(rows), np.array(w), np.array(y)

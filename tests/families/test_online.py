@@ -254,7 +254,74 @@ def test_what_disagrees_has_no_past(online):
     state = online.state
     after = online.denoise(bright)
     past = state.temporal
-    online.state = dataclasses.replace(
-        state, temporal=dataclasses.replace(past, output=past.output * 0)
-    )
+    first = dataclasses.replace(past.first, output=past.first.output * 0)
+    online.state = dataclasses.replace(state, temporal=dataclasses.replace(past, first=first))
     np.testing.assert_array_equal(online.denoise(bright), after)
+
+
+def still(seed, level=0.5):
+    """Halves of one picture, an edge that no guide shows, seen by a camera that stands still."""
+    rng = np.random.default_rng(seed)
+    clean = np.where(np.arange(32) < 16, level, 2 * level)[None, :, None] * np.ones((24, 1, 3))
+    color, color_b = (clean * rng.exponential(1, clean.shape) for _ in range(2))
+    motion = np.zeros((24, 32, 2), np.float32)
+    return stillray.Frame(color=color, color_b=color_b, motion=motion), clean
+
+
+def test_halves_accumulate_each_its_own_samples(online):
+    """A still picture gets better with frames, and neither half ever sees the other's samples."""
+    errors = []
+    for seed in range(8):
+        frame, clean = still(seed)
+        errors.append(float(((online.denoise(frame) - clean) ** 2).mean()))
+    assert errors[-1] < errors[0] / 2
+    past = online.state.temporal
+    first, second = (half.mean[..., :3] - clean for half in (past.first, past.second))
+    for noise in (first, second):  # of eight samples
+        assert 0.5 < 8 * (noise**2).mean() / (clean**2).mean() < 1.5
+    assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.1
+
+
+def test_a_still_run_does_not_drift(online):
+    """Learning frame after frame, from the same picture, neither darkens nor blurs it."""
+    errors, light = [], []
+    for seed in range(30):
+        frame, clean = still(seed)
+        image = online.denoise(frame)
+        errors.append(float(((image - clean) ** 2).mean()))
+        light.append(float(image.mean() / clean.mean()))
+    assert learned(online).steps == 30
+    assert np.mean(errors[-5:]) < 1.25 * np.mean(errors[8:13])
+    assert np.mean(light[-5:]) == pytest.approx(1, abs=0.1)
+
+
+def test_a_lamp_that_is_switched_leaves_no_light_of_the_past(online):
+    for seed in range(6):
+        online.denoise(still(seed)[0])
+    for seed in range(6, 9):
+        frame, clean = still(seed, level=0.05)
+        image = online.denoise(frame)
+    assert image.mean() == pytest.approx(clean.mean(), rel=0.25)
+
+
+def test_edges_are_smoothed_over_frames_as_supersampling_would(online):
+    """Samples meet either side of an edge in turn: its pixels become the mean of both."""
+    for number in range(12):
+        normal = np.zeros((16, 16, 3), np.float32)
+        normal[..., 2] = 1
+        left = np.arange(16) < (8 if number % 2 else 7)  # column 7 is met on either side in turn
+        normal[:, left] = (1, 0, 0)
+        albedo = np.where(left, 0.9, 0.1)[None, :, None] * np.ones((16, 1, 3))
+        frame = stillray.Frame(
+            color=albedo,
+            color_b=albedo,
+            albedo=albedo,
+            normal=normal,
+            depth=np.ones((16, 16)),
+            motion=np.zeros((16, 16, 2)),
+        )
+        image = online.denoise(frame)
+    edge = image[:, 7].mean()
+    assert 0.25 < edge < 0.75
+    assert image[:, 5].mean() == pytest.approx(0.9, rel=0.05)
+    assert image[:, 9].mean() == pytest.approx(0.1, rel=0.05)

@@ -1,6 +1,6 @@
 """Cross-regression (Choi et al. 2024, section 4.1): pilot estimates from two halves of the samples.
 
-Around every sixteenth pixel one half's radiance, albedo and normals explain the other half's
+Around one pixel in 36 one half's radiance, albedo and normals explain the other half's
 radiance, by a line that is fitted in a window; what the lines say of a pixel is blended. The noise
 of the half that explains is not that of the half that is explained, so that it is not copied.
 """
@@ -17,7 +17,9 @@ from stillray.arrays.strips import STRIP_PIXELS, Strips, with_halo
 from stillray.arrays.watch import Watch
 
 WINDOW = 17  # pixels, odd (section 3)
-SPACING = 4  # pixels from center to center: one pixel in 16 (section 3)
+# Pixels from center to center. differs: one pixel in 16 (section 3); one in 36 takes less than half
+# of the time (docs/decisions.md).
+SPACING = 6
 _REACH = WINDOW // 2
 _PIXELS = WINDOW**2
 # Epsilon of eq. 6, in log radiance, and its square for eq. 7: noise that no eye sees.
@@ -42,12 +44,17 @@ def pilots(first: np.ndarray, second: np.ndarray, guides: np.ndarray, strips: St
     A pilot is limited to the range of what it was fitted to, within the window around a pixel: a
     line that is drawn on beyond its pixels invents light.
 
+    differs: weights are of colors alone (eq. 7); here pixels count less the more their guides
+    differ, too. Beside a window that is many times as bright as its wall, the deviation of 3x3
+    pixels takes the edge for noise, and the window's light would be smeared over the wall.
+
     Parameters
     ----------
     first, second : (3, h, w) float32
         The two halves of a frame's samples: log of one and exposed radiance.
     guides : (g, h, w) float32
-        Albedo, normals: what both halves share; g may be 0.
+        Albedo, normals: what both halves share, in units of a difference at which a pixel counts
+        1/e; g may be 0.
     strips
         Where the work runs.
 
@@ -90,7 +97,7 @@ def _surrounded(
 ) -> tuple[np.ndarray, np.ndarray]:
     """What windows are taken from: as far as those of the centers reach, on every side.
 
-    Centers lie at 2, 6, 10, ...: beyond the last row or column they stand for it.
+    Centers lie at 3, 9, 15, ...: beyond the last row or column they stand for it.
 
     Returns
     -------
@@ -164,9 +171,10 @@ def _block(
             variables[:, 0] = 1
             middle = common[..., _PIXELS // 2, None]
             np.subtract(common[:, :-1], middle[:, :-1], out=variables[:, 1 + _COLORS :])
+            alike = _alike(variables[:, 1 + _COLORS :], common[:, -1])
             seen = [take(planes) for planes in padded]
             for half, planes in enumerate(seen):
-                weights = _explain(planes, common[:, -1], variables)
+                weights = _explain(planes, alike, variables)
                 lines = _fit(variables, weights, seen[1 - half][:, :_COLORS])
                 said = lines @ variables
                 said *= weights[:, None]
@@ -198,7 +206,15 @@ def _windows(planes: np.ndarray, row: int, left: int, count: int) -> np.ndarray:
     return np.ascontiguousarray(chosen.transpose(2, 0, 1, 3)).reshape(count, len(planes), -1)
 
 
-def _explain(planes: np.ndarray, inside: np.ndarray, variables: np.ndarray) -> np.ndarray:
+def _alike(apart: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """What pixels count by their guides alone, 0 outside of the frame: ``(count, pixels)``."""
+    squares = np.einsum("ncp,ncp->np", apart, apart)
+    np.exp(np.negative(squares, out=squares), out=squares)
+    squares *= inside
+    return squares
+
+
+def _explain(planes: np.ndarray, alike: np.ndarray, variables: np.ndarray) -> np.ndarray:
     """Fill in the color's variables (eq. 6); gives the weights (eq. 7), ``(count, pixels)``."""
     middle = planes[..., _PIXELS // 2, None]
     noise, own = planes[:, _COLORS], middle[:, _COLORS]
@@ -210,7 +226,7 @@ def _explain(planes: np.ndarray, inside: np.ndarray, variables: np.ndarray) -> n
     squares /= variance
     np.negative(squares, out=squares)
     weights = np.exp(squares, out=squares)
-    weights *= inside
+    weights *= alike
     apart /= (noise + (own + _NOISE))[:, None]
     return weights
 

@@ -10,13 +10,12 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stillray.arrays.extend import surround
-from stillray.arrays.strips import STRIP_PIXELS, Strips, planes_of, without_fourth
-from stillray.errors import InputError
+from stillray.arrays.strips import STRIP_PIXELS, Strips, planes_of
 from stillray.families import filter_network
 from stillray.families.contract import Context, Engine, Request, State, Step, Traits
 from stillray.families.cross_bilateral import Estimates, cross_bilateral
@@ -24,25 +23,29 @@ from stillray.families.cross_regression import pilots
 from stillray.families.online_learning import Learned, Learner, Lesson
 from stillray.families.online_past import (
     Past,
-    guides_of,
-    logarithm,
-    nothing,
+    exposed,
+    no_pilots,
+    picture_of_past,
+    pilots_of_past,
     radiance_of,
-    warp,
+    remodulated,
 )
+from stillray.families.online_state import pack, unpack
 from stillray.frame import Frame
 from stillray.model_spec.loader import CrossBilateral, FilterNetwork, ModelSpec
 from stillray.model_spec.network_weights import network_weights
-from stillray.stages import features
+from stillray.stages import previous_output
+from stillray.stages.decide import TemporalPlan, Wants, decide
+from stillray.stages.means import Means
 from stillray.stages.plan import Plan, Stage
-from stillray.stages.repair import MAX_RADIANCE, Buffers, all_within, repair_radiance
+from stillray.stages.prepare import prepare_planned
+from stillray.stages.state import History, Prepared
 from stillray.timing import timed
 
 _log = logging.getLogger("stillray")
 _COLORS = 3
-_VECTORS = ("weights", "first", "second", "kept")
-_PLANES = ("output", "pilot_a", "pilot_b")
-_MOST_PIXELS = 2**16  # of a side
+#: Differences of albedo and of normals at which a pixel counts 1/e in the regression.
+GUIDE_UNITS = np.array([0.15] * 3 + [0.5] * 3, np.float32)
 #: Chessboard of a window's neighbours, see `cross_bilateral.taps`; the graph of a step has it too.
 CHECKERED = True
 
@@ -53,18 +56,19 @@ class OnlinePlan(Plan):
 
     Attributes
     ----------
-    buffers
-        The frame's, repaired.
-    second : (h, w, 3) float32
-        The other half of its samples, repaired.
+    first, second
+        Those on either half of the samples, up to what it has accumulated.
     past, learned
         What is remembered; None where the frame begins anew, or nothing was learned.
     """
 
-    buffers: Buffers
-    second: np.ndarray
+    first: TemporalPlan
+    second: TemporalPlan
     past: Past | None
     learned: Learned | None
+
+
+_Half = History | TemporalPlan | None
 
 
 class OnlineModel:
@@ -82,6 +86,8 @@ class OnlineModel:
         ):
             raise TypeError(f"{spec.name} is of another family: {spec.family}")
         self.spec, self._options = spec, spec.decoder
+        # the second half takes its geometry and its albedo from the first
+        self._specs = (spec, replace(spec, temporal=replace(spec.temporal, albedo_samples=0.0)))
         self._shapes = network_weights(spec)
         self._multiple = 2 ** (len(spec.network.widths) - 1)
         self.traits = Traits(
@@ -96,40 +102,34 @@ class OnlineModel:
     ) -> OnlinePlan:
         """Decide what runs for a frame, and why; see `Family`."""
         assert frame.color_b is not None
-        buffers, second = Buffers.of(frame), frame.color_b
-        with timed(context.timings, "inspect"):
-            whole = all(context.strips.run(buffers.in_range, *frame.shape))
-            whole = whole and all_within(second, 0, MAX_RADIANCE, context.strips)
-        if not whole:
-            with timed(context.timings, "repair"):
-                empty = frame.samples == 0 if isinstance(frame.samples, np.ndarray) else None
-                buffers = buffers.repaired(context.strips)
-                second = repair_radiance(second, empty, context.strips)[0]
-        past, learned, why = _remembered(frame.shape, before, request)
-        moves = past and frame.motion is not None
-        if past and not moves:
-            why = "no motion given: where the past went is not known"
+        temporal, (held, other, learned) = request.temporal, _remembered(before, request)
+        strips, timings = context.strips, context.timings
+        wants = Wants(temporal=temporal, previous_output=temporal)
+        first = decide(frame, self._specs[0], held, strips, timings, wants)
+        half = replace(frame, color=frame.color_b, color_b=None)
+        wants = Wants(temporal=temporal)
+        second = decide(half, self._specs[1], other, strips, timings, wants)
+        moves = first.runs("reproject")
+        repairs = second.runs("repair")
         stages = (
-            Stage("inspect", True, "values tell what a frame calls for"),
-            Stage("repair", not whole, "a value is NaN, infinite or out of its range"
-                  if not whole else "every value is finite and in its range"),
-            Stage("expose", True, "logarithms are of exposed radiance"),
+            *(stage if stage.name != "repair" or not repairs else _stage(second, "repair")
+              for stage in first.stages),
             Stage("regress", True, "each half of the samples explains the other"),
-            Stage("warp", bool(moves), why or "history and motion are there"),
+            Stage("warp", moves, "the last pilots teach, too" if moves
+                  else _stage(first, "reproject").reason),
             Stage("encode", True, f"{len(self.spec.network.features)} planes for the network"),
             Stage("network", True, self.spec.name),
             Stage("filter", True, "a cross-bilateral window around each pixel"),
-            Stage("learn", request.temporal, "one step a frame" if request.temporal
+            Stage("learn", temporal, "one step a frame" if temporal
                   else "temporal accumulation is switched off: nothing is kept"),
-            Stage("remember", request.temporal, "the next frame looks back"),
+            Stage("remember", temporal, "the next frame looks back"),
         )  # fmt: skip
-        state = before if isinstance(before, State) else None
-        held = state.temporal if state is not None and moves else None
+        past = before.temporal if isinstance(before, State) else None
         return OnlinePlan(
             stages=stages,
-            buffers=buffers,
+            first=first,
             second=second,
-            past=held if isinstance(held, Past) else None,
+            past=past if isinstance(past, Past) and first.past is not None else None,
             learned=learned,
         )
 
@@ -137,19 +137,24 @@ class OnlineModel:
         """Run a frame as it was planned; see `Family`."""
         assert isinstance(plan, OnlinePlan)
         assert context.engine is not None
-        engine = context.engine
-        shape = (plan.second.shape[0], plan.second.shape[1])
-        exposure, (first, second) = self._exposed(plan, context)
-        guides = _guide_planes(plan.buffers, context)
+        engine, strips = context.engine, context.strips
+        prepared, other, picture = self._accumulate(plan, context)
+        # of both halves alike: pictures do not depend on which is called the first
+        exposure = math.sqrt(prepared.history.exposure) * math.sqrt(other.exposure)
         with timed(context.timings, "regress"):
-            both = self.pilots(first, second, guides, context.strips)
-        warped = nothing(shape)
-        if plan.past is not None and plan.runs("warp"):
+            halves = [exposed(half.mean, exposure, strips) for half in (prepared.history, other)]
+            guides = _guide_planes(prepared, context)
+            both = self.pilots(halves[0], halves[1], guides, strips)
+        shape, albedo = plan.first.shape, prepared.remodulation_albedo
+        taught, last = no_pilots(shape), np.zeros((4, *shape), np.float32)
+        if plan.runs("warp") and plan.past is not None:
             with timed(context.timings, "warp"):
                 options = self.spec.temporal
-                warped = warp(plan.past, plan.buffers, exposure, options, context)
+                taught = pilots_of_past(plan.past, plan.first.buffers, exposure, options, context)
+                if picture is not None:
+                    last = picture_of_past(picture, both, albedo, exposure, context)
         with timed(context.timings, "encode"):
-            planes = self._encode((both, guides, warped.output), context)
+            planes = self._encode((both, guides, last[:3]), context)
         learned = plan.learned or Learned.begin(
             filter_network.join(engine.run("weights", {}), self._shapes)
         )
@@ -160,60 +165,71 @@ class OnlineModel:
             estimates = Estimates(
                 values=both,
                 guides=_tell_apart(both, guides, context),
-                past=warped.output,
-                valid=warped.pilots[-1],
+                past=last[:3],
+                valid=last[3],
             )
-            log = cross_bilateral(estimates, theta, context.strips, checkered=CHECKERED)
-            output = radiance_of(log, exposure, context.strips)
-            image = without_fourth(output, context.strips)
+            irradiance = radiance_of(self.filter(estimates, theta, strips), exposure, strips)
+            image = remodulated(irradiance, albedo, strips)
 
         def finish() -> State:
             after: Learned | None = None
             if plan.runs("learn"):
                 with timed(context.timings, "learn"):
-                    after = self._learn(learned, Lesson(planes, warped.pilots), engine)
+                    after = self._learn(learned, Lesson(planes, taught), engine)
             past: Past | None = None
             if plan.runs("remember"):
                 with timed(context.timings, "remember"):
-                    pilot_a, pilot_b = (
-                        radiance_of(pilot, exposure, context.strips) for pilot in both
-                    )
+                    pilot_a, pilot_b = (radiance_of(pilot, exposure, strips) for pilot in both)
+                    output = previous_output.keep(image, strips)
                     past = Past(
-                        output=output,
+                        first=replace(prepared.history, output=output),
+                        second=other,
                         pilot_a=pilot_a,
                         pilot_b=pilot_b,
-                        guides=guides_of(plan.buffers, context.strips),
-                        exposure=exposure,
                     )
             return State(shape=shape, temporal=past, learned=after)
 
         return Step(image=image, finish=finish)
 
+    def _accumulate(
+        self, plan: OnlinePlan, context: Context
+    ) -> tuple[Prepared, History, np.ndarray | None]:
+        """Both halves, each on its own past, and the last picture at these pixels."""
+
+        def means(spec: ModelSpec) -> Means:
+            return Means(
+                spec=spec,
+                strips=context.strips,
+                timings=context.timings,
+                workspace=context.workspace,
+            )
+
+        # the second first: what the workspace then holds of it, the other one overwrites
+        specs = self._specs
+        other = prepare_planned(plan.second, means(specs[1])).history
+        prepared = prepare_planned(plan.first, means(specs[0]))
+        other = replace(other, surface_guides=prepared.history.surface_guides)
+        picture: np.ndarray | None = None
+        if plan.runs("resample_output") and plan.first.past is not None:
+            with timed(context.timings, "resample_output"):
+                picture = previous_output.resampled(
+                    plan.first.past, prepared, context.strips, context.workspace, sharp=True
+                )
+        return prepared, other, picture
+
     def pilots(
         self, first: np.ndarray, second: np.ndarray, guides: np.ndarray, strips: Strips
     ) -> np.ndarray:
         """What the filter is given, ``(2, 3, h, w)``; ablations give it something else."""
-        return pilots(first, second, guides, strips)
+        return pilots(first, second, guides / GUIDE_UNITS[:, None, None], strips)
+
+    def filter(self, estimates: Estimates, theta: np.ndarray, strips: Strips) -> np.ndarray:
+        """The picture's irradiance, ``(3, h, w)``, as `Estimates` are; for ablations as well."""
+        return cross_bilateral(estimates, theta, strips, checkered=CHECKERED)
 
     def pack(self, state: State) -> dict[str, np.ndarray]:
-        """A state as arrays by name, of which `unpack` makes the same state.
-
-        Numbers of steps are float32, exact up to 2 ** 24.
-        """
-        arrays = {"shape": np.array(state.shape, np.float32)}
-        if isinstance(state.learned, Learned):
-            learned = state.learned
-            arrays |= {name: getattr(learned, name) for name in _VECTORS}
-            arrays["steps"] = np.array([learned.steps, learned.adam_steps], np.float32)
-        if isinstance(state.temporal, Past):
-            past = state.temporal
-            arrays |= {name: getattr(past, name) for name in _PLANES}
-            # a float64 in two float32: the exposure goes on exactly as it was
-            high = np.float32(past.exposure)
-            arrays["exposure"] = np.array([high, past.exposure - float(high)], np.float32)
-            if past.guides is not None:
-                arrays["guides"] = past.guides
-        return arrays
+        """A state as arrays by name, of which `unpack` makes the same state."""
+        return pack(state)
 
     def unpack(self, arrays: Mapping[str, np.ndarray]) -> State:
         """`pack` undone.
@@ -223,47 +239,8 @@ class OnlineModel:
         InputError
             The arrays are not those of a state of this model.
         """
-        shape = arrays.get("shape", np.empty(0, np.float32))
-        if shape.shape != (2,) or not (shape >= 1).all() or not (shape <= _MOST_PIXELS).all():
-            raise InputError(f"state must be one of {self.spec.name}: it has no shape of a frame")
-        height, width = (int(size) for size in shape)
         count = sum(math.prod(part) for _, part in self._shapes)
-        sizes: dict[str, tuple[int, ...]] = {name: (count,) for name in _VECTORS}
-        sizes |= {name: (height, width, 4) for name in (*_PLANES, "guides")}
-        sizes |= {"steps": (2,), "exposure": (2,), "shape": (2,)}
-        for name, array in arrays.items():
-            if array.shape != sizes.get(name):
-                raise InputError(
-                    f"state must be one of {self.spec.name}, got {name} of shape {array.shape}"
-                )
-        return State(
-            shape=(height, width), temporal=_unpack_past(arrays), learned=_unpack_learned(arrays)
-        )
-
-    def _exposed(self, plan: OnlinePlan, context: Context) -> tuple[float, np.ndarray]:
-        """The exposure, and logarithms of both halves, ``(2, 3, h, w)``."""
-        halves, strips = (plan.buffers.color, plan.second), context.strips
-        shape = (plan.second.shape[0], plan.second.shape[1])
-        light = context.workspace.array("light", shape)
-        logs = context.workspace.array("logarithms", (2, _COLORS, *shape))
-
-        def add(rows: slice) -> None:
-            # summed at half their size: the sum of two of the brightest is no float32
-            first, second = (half[rows] * np.float32(0.5) for half in halves)
-            features.luminance(first + second, out=light[rows])
-
-        def expose(rows: slice) -> None:
-            for half, log in zip(halves, logs, strict=True):
-                log[:, rows] = logarithm(planes_of(half[rows]), exposure)
-
-        with timed(context.timings, "expose"):
-            strips.run(add, *shape)
-            exposure = features.frame_exposure(light, self.spec.transfer)
-            if plan.past is not None:
-                before = plan.past.exposure
-                exposure = features.steady_exposure(exposure, before, self.spec.transfer)
-            strips.run(expose, *shape, pixels=STRIP_PIXELS // 2)
-        return exposure, logs
+        return unpack(arrays, self.spec.name, count)
 
     def _encode(self, given: Sequence[np.ndarray], context: Context) -> np.ndarray:
         """The network's input, ``(1, 15, H, W)``, of a size that it takes.
@@ -291,28 +268,14 @@ class OnlineModel:
         return after
 
 
-def _unpack_learned(arrays: Mapping[str, np.ndarray]) -> Learned | None:
-    if not {*_VECTORS, "steps"} <= arrays.keys() or arrays["steps"].min() < 0:
-        return None
-    steps, adam_steps = (int(number) for number in arrays["steps"])
-    vectors = {name: arrays[name] for name in _VECTORS}
-    return Learned(steps=steps, adam_steps=adam_steps, **vectors)
+def _stage(plan: Plan, name: str) -> Stage:
+    return next(stage for stage in plan.stages if stage.name == name)
 
 
-def _unpack_past(arrays: Mapping[str, np.ndarray]) -> Past | None:
-    if not {*_PLANES, "exposure"} <= arrays.keys():
-        return None
-    exposure = float(arrays["exposure"].astype(np.float64).sum())
-    if exposure <= 0:
-        return None
-    planes = {name: arrays[name] for name in _PLANES}
-    return Past(exposure=exposure, guides=arrays.get("guides"), **planes)
-
-
-def _guide_planes(buffers: Buffers, context: Context) -> np.ndarray:
+def _guide_planes(prepared: Prepared, context: Context) -> np.ndarray:
     """Albedo and normals, ``(6, h, w)``; 0 where they are not given: they tell nothing apart."""
-    given = (buffers.albedo, buffers.normal)
-    guides = context.workspace.array("guides", (2, _COLORS, *buffers.color.shape[:2]))
+    given = (prepared.albedo, prepared.normal)
+    guides = context.workspace.array("guides", (2, _COLORS, *prepared.luminance.shape))
 
     def work(rows: slice) -> None:
         for planes, buffer in zip(guides, given, strict=True):
@@ -335,18 +298,17 @@ def _tell_apart(both: np.ndarray, guides: np.ndarray, context: Context) -> np.nd
 
 
 def _remembered(
-    shape: tuple[int, int], before: State | Plan | None, request: Request
-) -> tuple[bool, Learned | None, str]:
-    """Whether there is a past of this size, what was learned, and why there is no past."""
+    before: State | Plan | None, request: Request
+) -> tuple[_Half, _Half, Learned | None]:
+    """What is remembered of either half, and what was learned."""
     if not request.temporal:
-        return False, None, "temporal accumulation is switched off"
+        return None, None, None
     if isinstance(before, OnlinePlan):  # a plan that is only told
-        held, size, learned = before.runs("remember"), before.second.shape[:2], None
-    elif isinstance(before, State):
-        held, size = isinstance(before.temporal, Past), before.shape
-        learned = before.learned if isinstance(before.learned, Learned) else None
-    else:
-        held, size, learned = False, shape, None
-    if not held or size != shape:
-        return False, learned, "first frame, or the first after a reset or a new size"
-    return True, learned, ""
+        return before.first, before.second, None
+    if not isinstance(before, State):
+        return None, None, None
+    learned = before.learned if isinstance(before.learned, Learned) else None
+    past = before.temporal
+    if not isinstance(past, Past):
+        return None, None, learned
+    return past.first, past.second, learned

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
-from stillray.arrays.strips import STRIP_PIXELS, Strips, interleave, planes_of
+from stillray.arrays.strips import STRIP_PIXELS, Strips, interleave, planes_of, with_halo
 from stillray.families.contract import Context
 from stillray.model_spec.loader import Temporal
 from stillray.stages import reproject as rep
 from stillray.stages.prepare import discontinuities
 from stillray.stages.repair import MAX_RADIANCE, Buffers
+from stillray.stages.state import History
 
 _MOST_LOG = np.float32(60)  # of exposed radiance: exp of it is a float32
 #: Of the four taps around a place, the share that must show the same surface for it to be known.
 _LEAST_SHARE = 0.1
+_AROUND = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,67 +27,28 @@ class Past:
 
     Attributes
     ----------
-    output : (h, w, 4) float32
-        The last picture, radiance, and 1.
+    first, second : History
+        What either half has accumulated, each of its own samples alone. Geometry, the mean albedo
+        and the last picture are the first's.
     pilot_a, pilot_b : (h, w, 4) float32
-        The last pilots, radiance, and 1.
-    guides : (h, w, 4) float32 or None
-        Geometry of the last frame, see `stillray.stages.reproject.pack`.
-    exposure
-        1 / radiance, steadied over the sequence.
+        The last pilots, irradiance, and 1.
     """
 
-    output: np.ndarray
+    first: History
+    second: History
     pilot_a: np.ndarray
     pilot_b: np.ndarray
-    guides: np.ndarray | None
-    exposure: float
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Warped:
-    """What was known of a frame's pixels, as logarithms of exposed radiance.
-
-    Attributes
-    ----------
-    output : (3, h, w) float32
-        The last picture; 0 where there is none.
-    pilots : (7, h, w) float32
-        The last pilots, and last 1 where these pixels' surface was seen, or 0.
-    """
-
-    output: np.ndarray
-    pilots: np.ndarray
+def no_pilots(shape: tuple[int, int]) -> np.ndarray:
+    """What `pilots_of_past` gives where there is no past."""
+    return np.zeros((7, *shape), "f4")
 
 
-def nothing(shape: tuple[int, int]) -> Warped:
-    """Where there is no past."""
-    return Warped(output=np.zeros((3, *shape), "f4"), pilots=np.zeros((7, *shape), "f4"))
-
-
-def guides_of(buffers: Buffers, strips: Strips) -> np.ndarray | None:
-    """Geometry to remember; None where neither normals nor depth are given."""
-    normal, depth = buffers.normal, buffers.depth
-    if normal is None and depth is None:
-        return None
-    guides = np.empty((*buffers.color.shape[:2], 4), np.float32)
-
-    def work(rows: slice) -> None:
-        planes = rep.surface_guide_planes(
-            None if normal is None else normal[rows],
-            None if depth is None else depth[rows],
-            strips.workspace,
-        )
-        interleave(planes, out=guides[rows])
-
-    strips.run(work, *guides.shape[:2])
-    return guides
-
-
-def warp(
+def pilots_of_past(
     past: Past, buffers: Buffers, exposure: float, options: Temporal, context: Context
-) -> Warped:
-    """Look back along motion; a surface that disagrees by normal or depth was not seen.
+) -> np.ndarray:
+    """The last pilots, along motion; a surface that disagrees by normal or depth was not seen.
 
     Parameters
     ----------
@@ -98,18 +62,23 @@ def warp(
         When geometry disagrees.
     context
         Where the work runs.
+
+    Returns
+    -------
+    (7, h, w) float32
+        Logarithms of exposed irradiance, and last 1 where these pixels' surface was seen, or 0.
     """
     motion, strips = buffers.motion, context.strips
     assert motion is not None
     shape = motion.shape[:2]
-    compares = past.guides is not None and (buffers.normal is not None or buffers.depth is not None)
+    guides = past.first.surface_guides
+    compares = guides is not None and (buffers.normal is not None or buffers.depth is not None)
     rough: np.ndarray | None = None
-    if past.guides is not None and compares and motion.any():
-        rough = discontinuities(past.guides, strips, context.workspace)
-    output = context.workspace.array("warped output", (3, *shape))
+    if guides is not None and compares and motion.any():
+        rough = discontinuities(guides, strips, context.workspace)
     pilots = context.workspace.array("warped pilots", (7, *shape))
     known = pilots[-1]
-    sources = ((past.output, output), (past.pilot_a, pilots[:3]), (past.pilot_b, pilots[3:6]))
+    sources = ((past.pilot_a, pilots[:3]), (past.pilot_b, pilots[3:6]))
 
     def work(rows: slice) -> None:
         now: np.ndarray | None = None
@@ -120,19 +89,69 @@ def warp(
                 strips.workspace,
             )
         at = rep.positions_of(motion[rows], rows) if motion[rows].any() else None
-        before = past.guides if compares else None
+        before = guides if compares else None
         for source, target in sources:
             previous = rep.PreviousFrame(source, before, rough)
             taken = planes_of(
                 rep.reproject(previous, now, at, rows, options, strips.workspace),
                 out=strips.workspace.array("found", (4, *known[rows].shape)),
             )
-            if target is output:
+            if source is past.pilot_a:
                 known[rows] = taken[3] > _LEAST_SHARE
             np.multiply(logarithm(taken[:3], exposure), known[rows], out=target[:, rows])
 
     strips.run(work, *shape, pixels=STRIP_PIXELS // 2)
-    return Warped(output=output, pilots=pilots)
+    return pilots
+
+
+def picture_of_past(
+    picture: np.ndarray,
+    pilots: np.ndarray,
+    albedo: np.ndarray | None,
+    exposure: float,
+    context: Context,
+) -> np.ndarray:
+    """The last picture as the filter takes it: irradiance in the range of what is around it now.
+
+    differs: Choi et al. 2024 drop the past of a pixel whose surface disagrees. Samples meet the
+    surfaces on either side of an edge in turn, so its pixels would never have a past, and stairs
+    would stay. Here a picture is looked up as temporal antialiasing does (Karis 2014): without
+    geometry, but limited to the range of both pilots in the 3x3 pixels around.
+
+    Parameters
+    ----------
+    picture : (h, w, 4) float32
+        Radiance at these pixels, and how much of it is known, [0, 1].
+    pilots : (2, 3, h, w) float32
+        This frame's, as logarithms of exposed irradiance.
+    albedo : (h, w, 3) float32 or None
+        What irradiance is multiplied by; None for 1.
+    exposure
+        Of this frame.
+    context
+        Where the work runs; the result lies in its workspace.
+
+    Returns
+    -------
+    (4, h, w) float32
+        Logarithm of exposed irradiance, and how much of it is known.
+    """
+    height, width = picture.shape[:2]
+    out = context.workspace.array("last picture", (4, height, width))
+
+    def work(rows: slice) -> None:
+        near, own = with_halo(rows, 1, height)
+        light = picture[rows, :, :3] if albedo is None else picture[rows, :, :3] / albedo[rows]
+        out[:3, rows] = logarithm(light, exposure).transpose(2, 0, 1)
+        out[3, rows] = picture[rows, :, 3]
+        for channel, target in enumerate(out[:3, rows]):
+            first, second = (np.ascontiguousarray(pilot[channel, near]) for pilot in pilots)
+            least = np.minimum(cv2.erode(first, _AROUND), cv2.erode(second, _AROUND))[own]
+            most = np.maximum(cv2.dilate(first, _AROUND), cv2.dilate(second, _AROUND))[own]
+            np.clip(target, least, most, out=target)
+
+    context.strips.run(work, height, width, pixels=STRIP_PIXELS // 4)
+    return out
 
 
 def logarithm(radiance: np.ndarray, exposure: float) -> np.ndarray:
@@ -153,4 +172,30 @@ def radiance_of(log: np.ndarray, exposure: float, strips: Strips) -> np.ndarray:
         interleave(planes, out=radiance[rows])
 
     strips.run(work, *log.shape[1:])
+    return radiance
+
+
+def exposed(mean: np.ndarray, exposure: float, strips: Strips) -> np.ndarray:
+    """`logarithm` of a frame: ``(h, w, 4)`` irradiance and samples to ``(3, h, w)``."""
+    planes = np.empty((3, *mean.shape[:2]), np.float32)
+
+    def work(rows: slice) -> None:
+        planes[:, rows] = logarithm(mean[rows, :, :3], exposure).transpose(2, 0, 1)
+
+    strips.run(work, *mean.shape[:2], pixels=STRIP_PIXELS // 2)
+    return planes
+
+
+def remodulated(irradiance: np.ndarray, albedo: np.ndarray | None, strips: Strips) -> np.ndarray:
+    """Radiance ``(h, w, 3)`` of irradiance ``(h, w, 4)``; albedo None for 1."""
+    radiance = np.empty((*irradiance.shape[:2], 3), np.float32)
+
+    def work(rows: slice) -> None:
+        if albedo is None:
+            radiance[rows] = irradiance[rows, :, :3]
+        else:
+            np.multiply(irradiance[rows, :, :3], albedo[rows], out=radiance[rows])
+            np.minimum(radiance[rows], MAX_RADIANCE, out=radiance[rows])
+
+    strips.run(work, *radiance.shape[:2])
     return radiance

@@ -20,7 +20,7 @@ def start(layout: Shapes, seed: int) -> Tensor:
 
     differs: the biases of the last layer are such that a filter begins with half a window of like
     pixels and half of the past, where learning has somewhere to go; with 0 the first windows would
-    hold their center alone.
+    hold their center alone. Validation scenes chose among a few (docs/decisions.md).
     """
     generator = torch.Generator().manual_seed(seed)
     parts = []
@@ -28,7 +28,7 @@ def start(layout: Shapes, seed: int) -> Tensor:
         if len(shape) == 1:
             bias = torch.zeros(shape)
             if name == "out.bias":
-                bias[:-1] = _FIRST_BAND
+                bias[:-1] = torch.tensor(_FIRST_BANDS)
             parts.append(bias)
             continue
         size = math.prod(shape[2:])
@@ -37,7 +37,8 @@ def start(layout: Shapes, seed: int) -> Tensor:
     return torch.cat(parts)
 
 
-_FIRST_BAND = 0.5
+#: Of both estimates, in logarithms; of albedo, normals and places.
+_FIRST_BANDS = (0.1, 0.1, 0.25, 0.5, 0.5)
 
 
 def split(weights: Tensor, layout: Shapes) -> dict[str, Tensor]:

@@ -3,9 +3,9 @@
 ``python -m stillray_training.online.evaluate SEQUENCE REFERENCES --report report.json``
 
 Frames of two halves (``stillray-simulate --second-color``) go through it, through its parts alone
-(Choi et al. 2024, figure 8), other models and Open Image Denoise, which are fed the mean of both
-halves. Frames have the cameras of `stillray_training.online.to_and_fro`; those whose camera has a
-reference are measured.
+(Choi et al. 2024, figure 8), other models and peers, which are fed the mean of both halves: its
+table 1. Every metric of every frame with a reference is printed, too: its figure 7. Frames have the
+cameras of `stillray_training.online.to_and_fro`; those whose camera has a reference are measured.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from stillray.arrays.strips import Strips
 from stillray.cli import program
 from stillray.compare.metrics import evaluate
 from stillray.errors import InputError
+from stillray.families.cross_bilateral import Estimates
 from stillray.families.online import OnlineModel
-from stillray.families.online_past import Past
 from stillray.families.registry import FAMILIES
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr, read_picture
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.blocks import frame_paths
 from stillray_training.online.to_and_fro import to_and_fro
-from stillray_training.peers.oidn import OpenImageDenoise
+from stillray_training.peers.registry import find_peer
 
 METRICS = ("relmse", "ssim", "psnr", "bias")
 _PILOTS, _NETWORK, _UNTAUGHT = "pilots alone", "network alone", "nothing learned"
@@ -54,8 +54,21 @@ class NetworkAlone(OnlineModel):
         return np.stack([first, second])
 
 
+class PilotsAlone(OnlineModel):
+    """The mean of both pilots: nothing is filtered, and the last picture is not looked at."""
+
+    def filter(self, estimates: Estimates, theta: np.ndarray, strips: Strips) -> np.ndarray:
+        """The mean of what would be filtered."""
+        mean: np.ndarray = estimates.values.mean(0)
+        return mean
+
+
 class _NetworkAlone(Denoiser):
     families = MappingProxyType({**FAMILIES, "cross-regression": NetworkAlone})
+
+
+class _PilotsAlone(Denoiser):
+    families = MappingProxyType({**FAMILIES, "cross-regression": PilotsAlone})
 
 
 def mean_of_halves(frame: Frame) -> Frame:
@@ -65,28 +78,30 @@ def mean_of_halves(frame: Frame) -> Frame:
     return dataclasses.replace(frame, color=color, color_b=None)
 
 
-def streams(models: Sequence[str], opened: ExitStack) -> Iterator[tuple[str, Stream]]:
+def streams(
+    models: Sequence[str], peers: Sequence[str], opened: ExitStack, *, parts: bool
+) -> Iterator[tuple[str, Stream]]:
     """Methods by name, each with a past of its own."""
     yield "noisy", lambda frame: mean_of_halves(frame).color
-    online = opened.enter_context(Denoiser("online"))
-    yield "online", online.denoise
-    # the pilots of the frame that was just denoised
-    yield _PILOTS, lambda frame: _pilots_of(online)
+    yield "online", opened.enter_context(Denoiser("online")).denoise
+    if parts:
+        yield from _parts(opened)
+    for name in models:
+        model = opened.enter_context(Denoiser(name))
+        yield name, lambda frame, model=model: model.denoise(mean_of_halves(frame))  # type: ignore[misc]
+    for name in peers:
+        peer = find_peer(name).make()
+        yield name, lambda frame, peer=peer: peer.denoise(mean_of_halves(frame))  # type: ignore[misc]
+
+
+def _parts(opened: ExitStack) -> Iterator[tuple[str, Stream]]:
+    """Each of its parts without the others (figure 8)."""
+    pilots = opened.enter_context(_PilotsAlone("online"))
+    yield _PILOTS, lambda frame: _without_learning(pilots, frame)
     alone = opened.enter_context(_NetworkAlone("online"))
     yield _NETWORK, alone.denoise
     untaught = opened.enter_context(Denoiser("online"))
     yield _UNTAUGHT, lambda frame: _without_learning(untaught, frame)
-    for name in models:
-        model = opened.enter_context(Denoiser(name))
-        yield name, lambda frame, model=model: model.denoise(mean_of_halves(frame))  # type: ignore[misc]
-    peer = OpenImageDenoise("high")
-    yield "oidn-high", lambda frame: peer.denoise(mean_of_halves(frame))
-
-
-def _pilots_of(denoiser: Denoiser) -> np.ndarray:
-    past = denoiser.state.temporal if denoiser.state is not None else None
-    assert isinstance(past, Past)
-    return ((past.pilot_a + past.pilot_b) / 2)[..., :3]
 
 
 def _without_learning(denoiser: Denoiser, frame: Frame) -> np.ndarray:
@@ -97,7 +112,13 @@ def _without_learning(denoiser: Denoiser, frame: Frame) -> np.ndarray:
 
 
 def measure(
-    sequence: Path, references: Path, models: Sequence[str], *, last: int | None = None
+    sequence: Path,
+    references: Path,
+    models: Sequence[str],
+    peers: Sequence[str],
+    *,
+    last: int | None = None,
+    parts: bool = True,
 ) -> Scores:
     """Scores of every method, by the number of the frame.
 
@@ -107,10 +128,12 @@ def measure(
         Folder of ``frame_0000.exr`` and so on, each of two halves.
     references
         Folder of ``ref_0004.exr`` and so on, by camera; as large as the frames, or a multiple.
-    models
-        Other models by name.
+    models, peers
+        Other models, and peers, by name.
     last
         How many of the last frames to run; None for all.
+    parts
+        Whether its parts run alone, too.
     """
     paths = frame_paths(sequence)[-last if last else None :]
     if not paths:
@@ -121,7 +144,7 @@ def measure(
     cameras = to_and_fro(len(paths), max(known) + 1)
     scores: Scores = {}
     with ExitStack() as opened:
-        methods = dict(streams(models, opened))
+        methods = dict(streams(models, peers, opened, parts=parts))
         for number, path in enumerate(paths):
             frame = read_exr(path)
             reference = known.get(cameras[number])
@@ -152,12 +175,11 @@ def table(scores: Scores) -> list[str]:
     return lines
 
 
-def curve(scores: Scores, metric: str, methods: Sequence[str]) -> list[str]:
-    """How a metric goes over the frames (figure 7), a line a method."""
+def curves(scores: Scores, metric: str) -> list[str]:
+    """How a metric goes over the frames with references (figure 7), a line a method."""
     return [
         f"{name:16s}" + "".join(f"{number:5d}:{v[metric]:8.4f}" for number, v in frames.items())
         for name, frames in scores.items()
-        if name in methods
     ]
 
 
@@ -165,13 +187,24 @@ def main(
     sequence: Annotated[Path, typer.Argument(help="Folder of frames of two halves.")],
     references: Annotated[Path, typer.Argument(help="Folder of references by camera.")],
     model: Annotated[list[str] | None, typer.Option(help="Other models; repeatable.")] = None,
+    peer: Annotated[list[str] | None, typer.Option(help="Peers; repeatable.")] = None,
+    parts: Annotated[bool, typer.Option(help="Run its parts alone, too.")] = True,
     last: Annotated[int | None, typer.Option(help="Run so many of the last frames.")] = None,
     report: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
 ) -> None:
     """Measure the model that learns while it denoises."""
-    scores = measure(sequence, references, model or ["kpyr-5"], last=last)
-    for line in (*table(scores), "", *curve(scores, "psnr", ("online", _UNTAUGHT))):
+    scores = measure(
+        sequence,
+        references,
+        model or ["kpyr-5", "nbg-2x3"],
+        peer or ["svgf", "bmfr", "oidn-high"],
+        last=last,
+        parts=parts,
+    )
+    for line in table(scores):
         print(line)
+    for metric in METRICS:
+        print("", f"{metric} by the number of the frame", *curves(scores, metric), sep="\n")
     if report is not None:
         found: Mapping[str, object] = scores
         report.write_text(json.dumps(found, indent=1), encoding="utf-8")
