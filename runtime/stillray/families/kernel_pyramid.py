@@ -109,14 +109,15 @@ class KernelPyramidModel(TemporalKernels):
         if not self._options.resolve_tone:
             return outputs
         outputs = _numbers(outputs)
-        toned = np.empty(light.mean.shape[:2], np.float32)
+        height, width = light.mean.shape[:2]
+        toned = np.empty((height, width), np.float32)
         finest = _finest(light, outputs, self._options, strips)
 
         def work(rows: slice) -> None:
             unresolved = finest.unresolved(rows, light, strips.workspace)
             toned[rows] = finest.toned(unresolved, light, strips.workspace)[1:-1, 1:-1]
 
-        strips.run(work, *toned.shape)
+        strips.run(work, height, width)
         return [*outputs, toned]
 
 
