@@ -22,7 +22,7 @@ from stillray.cli import program
 from stillray.errors import InputError
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec, from_json, load
-from stillray.model_spec.loader import PyramidKernels, SpecError
+from stillray.model_spec.loader import SpecError
 from stillray.models.registry import WHOLE_SUFFIX, find_model, require_fit
 from stillray.models.session import checked
 from stillray_export import feature_filters, parity
@@ -179,11 +179,11 @@ def as_specified_now(trained: ModelSpec) -> ModelSpec:
         now = load(trained.name)
     except SpecError:
         return trained
-    decoder = now.decoder
-    if isinstance(decoder, PyramidKernels) and isinstance(trained.decoder, PyramidKernels):
-        # a rule as well: no output of the network is there for it
-        decoder = dataclasses.replace(decoder, resolve_tone=trained.decoder.resolve_tone)
-    if (now.family, now.network, decoder) != (trained.family, trained.network, trained.decoder):
+    if now.family != trained.family or now.network != trained.network:
+        return trained
+    # the resolve's tone is a rule as well: no output of the network is there for it
+    rules = {k: v for k, v in vars(trained.decoder).items() if k == "resolve_tone"}
+    if dataclasses.replace(now.decoder, **rules) != trained.decoder:
         return trained
     return dataclasses.replace(now, training=trained.training)
 

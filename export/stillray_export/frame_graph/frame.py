@@ -302,8 +302,12 @@ class FrameGraph(nn.Module):
         # what was added to whole cells goes before pixels are mixed with their neighbours
         image = image[..., :height, :width] * frame.divisor
         weights = maps[0].resolve[..., :height, :width]
-        toned = self.options.resolve_tone
-        tone = toned * frame.exposure.reshape(1, 1, 1, 1) if toned else None
+        tone: Tensor | None = None
+        if toned := self.options.resolve_tone:
+            # without albedo the stages divide by nothing, and this graph by that of black
+            absent = (frame.albedo.amax() <= 0).to(torch.float32)
+            exposure = frame.exposure / (1 + self.spec.demodulate.specular * absent)
+            tone = toned * exposure.reshape(1, 1, 1, 1)
         return resolve(image, weights, frame.previous, frame.valid, tone)
 
 

@@ -38,8 +38,12 @@ def extended(image: np.ndarray, out: np.ndarray, strips: Strips) -> np.ndarray:
     down = mirrored(height, len(out))
 
     def work(rows: slice) -> None:
-        inside = image[rows] if rows.stop <= height else image[down[rows]]
-        cv2.copyMakeBorder(inside, 0, 0, 0, right, cv2.BORDER_REFLECT, dst=out[rows])
+        inside = slice(rows.start, min(rows.stop, height))
+        below = slice(max(rows.start, height), rows.stop)
+        # rows that are picked out are copied: those below alone
+        for source, at in ((image[inside], inside), (image[down[below]], below)):
+            if len(source):
+                cv2.copyMakeBorder(source, 0, 0, 0, right, cv2.BORDER_REFLECT, dst=out[at])
 
     strips.run(work, *out.shape[:2])
     return out

@@ -275,8 +275,10 @@ class TemporalKernels(ABC):
             # many planes: half of a strip, so that a frame that is cancelled ends soon
             context.strips.run(pack, height, width, pixels=STRIP_PIXELS // 2)
             # to a multiple, as the light is that the outputs are for
-            planes[..., :height, width:] = planes[..., :height, mirrored(width, full[1])[width:]]
-            planes[..., height:, :] = planes[..., mirrored(height, full[0])[height:], :]
+            for at, place in enumerate(mirrored(width, full[1])[width:], start=width):
+                planes[..., :height, at] = planes[..., :height, place]
+            for at, place in enumerate(mirrored(height, full[0])[height:], start=height):
+                planes[..., at, :] = planes[..., place, :]
         return planes
 
     def _remember(

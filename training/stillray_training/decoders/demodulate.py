@@ -16,5 +16,7 @@ def is_black(albedo_nchw: Tensor, options: Demodulate) -> Tensor:
 
 def divisor(albedo_nchw: Tensor, options: Demodulate) -> Tensor:
     """What radiance is divided by, ``(n, 3, h, w)``, see `demodulation_albedo`."""
-    black = is_black(albedo_nchw, options)
-    return torch.where(black > 0, 1.0, albedo_nchw.clamp(options.floor, 1)) + options.specular
+    raised = albedo_nchw.clamp(options.floor, 1.0)
+    # ones as a tensor: of a number torch's exporter makes a bound of the clamp, and gives up
+    white = torch.ones_like(raised)
+    return torch.where(is_black(albedo_nchw, options) > 0, white, raised) + options.specular
