@@ -136,7 +136,7 @@ def test_pixels_without_samples_are_filled_in(graph):
 @pytest.mark.parametrize("size", [(1, 1), (2, 3), (1, 40), (16, 16)])
 def test_any_size_runs_and_a_first_frame_is_the_runtimes(graph, size):
     first, second = sequence(2, *size)
-    # of one row that is mirrored features are alike, and what is left of squares that cancel is rounding
+    # of one row that is mirrored features are alike: of squares that cancel rounding is left
     cancels = min(size) == 1
     assert decibels(graph(first), alone(first)) > PARITY - 5 * cancels
     assert np.isfinite(graph(second)).all()
