@@ -25,7 +25,7 @@ from stillray.families.box_filter import bounded_exp, box_means
 from stillray.families.cost import kernel_pyramid_cost
 from stillray.families.depth_to_space import DepthToSpace
 from stillray.families.finest_filters import filter_finest
-from stillray.families.pyramid_logits import NEIGHBOURS, LevelLayout, level_layout
+from stillray.families.pyramid_logits import NEIGHBOURS, LevelLayout, level_layout, numbers
 from stillray.families.pyramid_upsample import Doubled
 from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.model_spec.loader import ModelSpec, PyramidKernels, PyramidNetwork
@@ -104,20 +104,22 @@ class KernelPyramidModel(TemporalKernels):
         Returns
         -------
         list of arrays
-            The outputs, then what is compared of the color, ``(h, w)``, where it is.
+            The outputs, then what is compared of the color, ``(h + 2, w + 2)``, where it is.
         """
         if not self._options.resolve_tone:
             return outputs
-        outputs = _numbers(outputs)
+        outputs = numbers(outputs)
         height, width = light.mean.shape[:2]
-        toned = np.empty((height, width), np.float32)
+        toned = np.empty((height + 2, width + 2), np.float32)
         finest = _finest(light, outputs, self._options, strips)
 
         def work(rows: slice) -> None:
             unresolved = finest.unresolved(rows, light, strips.workspace)
-            toned[rows] = finest.toned(unresolved, light, strips.workspace)[1:-1, 1:-1]
+            inside = finest.toned(unresolved, light, strips.workspace)[1:-1]
+            toned[rows.start + 1 : rows.stop + 1] = inside
 
         strips.run(work, height, width)
+        _repeat_border(toned, top=True, bottom=True)
         return [*outputs, toned]
 
 
@@ -142,7 +144,7 @@ def filter_pyramid(
         Kernel sizes and the bound of the logits.
     strips
         Where the work runs.
-    toned : (h, w) float32 or None
+    toned : (h + 2, w + 2) float32 or None
         What tells brighter neighbours, of the light that the weights were made for; None for this.
 
     Returns
@@ -155,13 +157,8 @@ def filter_pyramid(
     # A logit that is not a number says nothing: 0. It shows in the image, which is a fifth of the
     # logits to look through.
     if np.isnan(image.max()) and any(np.isnan(level.max()) for level in logits):
-        image = _filtered(light, _numbers(logits), options, strips, toned)
+        image = _filtered(light, numbers(logits), options, strips, toned)
     return image
-
-
-def _numbers(logits: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Logits with 0 where they are not numbers."""
-    return [np.nan_to_num(level, nan=0.0) for level in logits]
 
 
 def _filtered(
@@ -347,8 +344,7 @@ class _Level:
         padded = self.unresolved(rows, light, workspace)
         around: np.ndarray | None = None
         if toned is not None:
-            margin = ((int(rows.start == 0), int(rows.stop == len(toned))), (1, 1))
-            around = np.pad(toned[max(rows.start - 1, 0) : rows.stop + 1], margin, mode="edge")
+            around = toned[rows.start : rows.stop + 2].copy()
         elif self.options.resolve_tone:
             around = self.toned(padded, light, workspace)
         past = None if light.previous is None else light.previous[rows]
@@ -464,12 +460,12 @@ def _padded(planes: np.ndarray, rows: slice, margin: int, workspace: Workspace) 
 
 
 def _repeat_border(padded: np.ndarray, *, top: bool, bottom: bool) -> None:
-    """Fill the outermost pixels of ``(3, h + 2, w + 2)``: left, right, and where asked for."""
+    """Fill the outermost pixels of ``(..., h + 2, w + 2)``: left, right, and where asked for."""
     padded[..., 0], padded[..., -1] = padded[..., 1], padded[..., -2]
     if top:
-        padded[:, 0] = padded[:, 1]
+        padded[..., 0, :] = padded[..., 1, :]
     if bottom:
-        padded[:, -1] = padded[:, -2]
+        padded[..., -1, :] = padded[..., -2, :]
 
 
 def _add_neighbours(

@@ -25,7 +25,7 @@ from stillray.stages import reproject as rep
 from stillray.stages.decide import TemporalPlan
 from stillray.stages.prepare import discontinuities
 from stillray.stages.repair import fill
-from stillray.stages.state import Filterable, LayerPast, Prepared
+from stillray.stages.state import Filterable, LayerPast, Prepared, filterable
 
 _ROUNDING = 1e-5  # relative: what a factor may differ from 1 by rounding alone
 
@@ -183,13 +183,7 @@ class FilteredLayers:
 
     @cached_property
     def _frozen(self) -> Sequence[np.ndarray]:
-        prepared = self._prepared
-        light = Filterable(
-            mean=prepared.history.mean,
-            sample=prepared.sample,
-            remodulation_albedo=prepared.remodulation_albedo,
-            exposure=prepared.history.exposure,
-        )
+        light = filterable(self._prepared, None)
         return self._kernels.frozen(light, self._outputs, self._strips)
 
     @cached_property

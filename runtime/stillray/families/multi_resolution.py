@@ -27,6 +27,7 @@ from stillray.arrays.workspace import Workspace
 from stillray.families.box_filter import bounded_exp, filter_planes
 from stillray.families.cost import multi_resolution_cost
 from stillray.families.kernel_pyramid import alignment, receptive_field
+from stillray.families.pyramid_logits import numbers
 from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.model_spec.loader import FusedKernels, ModelSpec, PyramidNetwork
 from stillray.stages.state import Filterable
@@ -92,7 +93,7 @@ class MultiResolutionModel(TemporalKernels):
         image = self._reconstructed(light, outputs, strips, timings)
         # a NaN logit says nothing: 0
         if np.isnan(image.max()) and any(np.isnan(level.max()) for level in outputs):
-            return self._reconstructed(light, _numbers(outputs), strips, timings)
+            return self._reconstructed(light, numbers(outputs), strips, timings)
         return image
 
     def frozen(
@@ -110,7 +111,7 @@ class MultiResolutionModel(TemporalKernels):
             first.
         """
         options = self._options
-        outputs = _numbers(outputs)
+        outputs = numbers(outputs)
         means = _resolutions(light.mean, outputs, options, strips)
         coarser = _level(_LevelInputs(means[-1], outputs[-1]), options, strips)
         found = []
@@ -289,7 +290,3 @@ def _give_way(fine: np.ndarray, coarser: np.ndarray, alpha: np.ndarray) -> None:
 def _step(fine: np.ndarray, coarser: np.ndarray) -> np.ndarray:
     """From the mean of each block to the coarser level."""
     return coarser - halve(fine)
-
-
-def _numbers(outputs: Sequence[np.ndarray]) -> list[np.ndarray]:
-    return [np.nan_to_num(level, nan=0.0, posinf=np.inf, neginf=-np.inf) for level in outputs]

@@ -5,8 +5,11 @@ See `stillray.families.kernel_pyramid`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+
+import numpy as np
 
 from stillray.model_spec.loader import PyramidKernels
 
@@ -94,3 +97,8 @@ def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayou
 def level_logits(level: int, levels: int, options: PyramidKernels) -> int:
     """Planes that a level's logits have, 0 being the finest."""
     return level_layout(level, levels, options).filters.stop
+
+
+def numbers(logits: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Logits with 0 where they are not numbers, which say nothing."""
+    return [np.nan_to_num(level, nan=0.0, posinf=np.inf, neginf=-np.inf) for level in logits]

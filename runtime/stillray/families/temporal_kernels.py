@@ -26,7 +26,7 @@ from stillray.stages.decide import TemporalPlan, Wants, decide
 from stillray.stages.means import Means
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.prepare import prepare_planned
-from stillray.stages.state import Filterable, History, Prepared
+from stillray.stages.state import Filterable, History, Prepared, filterable
 from stillray.timing import timed
 
 #: Frames that a frame's history is taken to go back; measured, see docs/decisions.md.
@@ -319,17 +319,6 @@ def history_of(state: object) -> History | None:
     """What a state of these families remembers; None for no state."""
     history = state.temporal if isinstance(state, State) else None
     return history if isinstance(history, History) else None
-
-
-def filterable(prepared: Prepared, previous: np.ndarray | None) -> Filterable:
-    """What kernels look at of a prepared frame."""
-    return Filterable(
-        mean=prepared.history.mean,
-        sample=prepared.sample,
-        remodulation_albedo=prepared.remodulation_albedo,
-        previous=previous,
-        exposure=prepared.history.exposure,
-    )
 
 
 def crop(prepared: Prepared, tile: Tile, watch: Watch) -> Prepared:

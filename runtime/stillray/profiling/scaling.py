@@ -12,13 +12,13 @@ import numpy as np
 from stillray.arrays.strips import Strips
 from stillray.errors import InputError
 from stillray.families.fused_kernels import FusedKernelsModel
-from stillray.families.temporal_kernels import filterable
 from stillray.model_spec.loader import ModelSpec
 from stillray.models.registry import find_model
 from stillray.profiling.clip import DEFAULT_SIZE, open_clip
 from stillray.profiling.machine import available_memory
 from stillray.profiling.measure import TOTAL, Memory, Setting, measure, measure_alone
 from stillray.stages.prepare import prepare
+from stillray.stages.state import filterable
 
 SIZES = (
     (270, 480),

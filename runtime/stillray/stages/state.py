@@ -180,3 +180,14 @@ class Filterable:
     remodulation_albedo: np.ndarray | None = None
     previous: np.ndarray | None = None
     exposure: float = 1.0
+
+
+def filterable(prepared: Prepared, previous: np.ndarray | None) -> Filterable:
+    """What kernels look at of a prepared frame."""
+    return Filterable(
+        mean=prepared.history.mean,
+        sample=prepared.sample,
+        remodulation_albedo=prepared.remodulation_albedo,
+        previous=previous,
+        exposure=prepared.history.exposure,
+    )
