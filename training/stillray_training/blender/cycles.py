@@ -39,7 +39,7 @@ def prepare(size: tuple[int, int]) -> Any:
     return scene
 
 
-def render(path: Path, *, frame: int, samples: int, seed: int) -> None:
+def render(path: Path, *, frame: int, samples: int, seed: int, noise: float = 0.0) -> None:
     """Write one frame; keep it if it is there already, so that a run can be taken up again.
 
     Parameters
@@ -52,11 +52,14 @@ def render(path: Path, *, frame: int, samples: int, seed: int) -> None:
         Samples a pixel.
     seed
         Other seeds give other noise: input and reference must not share any.
+    noise
+        Cycles' noise threshold, at which a pixel takes no more samples; 0 for as many everywhere.
     """
     if path.exists():
         return
     path.parent.mkdir(parents=True, exist_ok=True)
     scene = bpy.context.scene
+    scene.cycles.use_adaptive_sampling, scene.cycles.adaptive_threshold = noise > 0, noise
     scene.frame_set(frame)
     scene.cycles.samples, scene.cycles.seed = samples, seed
     unfinished = path.with_name(f".{path.name}")

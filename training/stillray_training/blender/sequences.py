@@ -22,10 +22,12 @@ from stillray_training.blender.record import RECORD, TAKEN
 FRAMES = 8
 BLOCKS = (1, 2, 4, 8, 16)  # samples a pixel of the blocks beside the last frame
 _BLOCK_SEED, _REFERENCE_SEED = 100, 1000  # no two files share their noise
-_ODDS = (0.5, 0.3, 0.2)  # of the kinds
+_ROOMS = 0.5  # share of the scenes that are rooms
+_TABLES = 0.6  # and of the others that are things on a table
+_NOISE = 0.01  # of a reference's pixel, at which it takes no more samples: Cycles' own
 
 
-def render_scene(folder: Path, seed: int, size: int, reference: int, assets: Path | None) -> None:
+def render_scene(folder: Path, seed: int, given: argparse.Namespace) -> None:
     """All files of one scene.
 
     Parameters
@@ -34,33 +36,33 @@ def render_scene(folder: Path, seed: int, size: int, reference: int, assets: Pat
         Where they go, made if missing.
     seed
         Of scene and settings.
-    size
-        Width and height in pixels.
-    reference
-        Samples a pixel of the reference.
-    assets
-        Folder of licensed objects; None for none.
+    given
+        Arguments of the command.
     """
     if (folder / RECORD).exists():
         return
     drawn = random.Random(seed)
-    kind = drawn.choices(list(KINDS), _ODDS)[0]
+    others = 1 - given.rooms
+    odds = (given.rooms, others * _TABLES, others * (1 - _TABLES))
+    kind = drawn.choices(list(KINDS), odds)[0]
+    size = given.size
     scene = prepare((size, size))
     scene.cycles.filter_width = drawn.choice((1.5, 1.5, 1.5, 1.0, 2.0))
     scene.cycles.sample_clamp_indirect = drawn.choice((10.0, 10.0, 3.0, 30.0))
     scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = drawn.random() < 0.5
     samples = drawn.choice((1, 1, 2, 4))
-    used = build(kind, seed, assets, FRAMES)
+    used = build(kind, seed, given.assets, FRAMES)
     last = FRAMES - 1
     for frame in range(FRAMES):
         render(folder / f"frame_{frame:04d}.exr", frame=frame, samples=samples, seed=frame)
     for index, count in enumerate(BLOCKS):
         path = folder / f"block_{index:02d}.exr"
         render(path, frame=last, samples=count, seed=_BLOCK_SEED + index)
-    render(folder / f"ref_{last:04d}.exr", frame=last, samples=reference, seed=_REFERENCE_SEED)
+    path = folder / f"ref_{last:04d}.exr"
+    render(path, frame=last, samples=given.reference, seed=_REFERENCE_SEED, noise=_NOISE)
     record = {
         "scene": kind, "seed": seed, "frames": FRAMES, "spp": samples, "blocks": BLOCKS,
-        "reference_spp": reference, "height": size, "width": size, "used": used,
+        "reference_spp": given.reference, "height": size, "width": size, "used": used,
         "clamp": scene.cycles.sample_clamp_indirect, "blender": bpy.app.version_string,
     }  # fmt: skip
     (folder / RECORD).write_text(json.dumps(record, indent=1))
@@ -73,14 +75,15 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=100, help="scenes")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--size", type=int, default=192, help="width and height in pixels")
-    parser.add_argument("--reference", type=int, default=256, help="samples a pixel")
+    parser.add_argument("--reference", type=int, default=512, help="most samples a pixel")
+    parser.add_argument("--rooms", type=float, default=_ROOMS, help="share of scenes, [0, 1]")
     parser.add_argument("--assets", type=Path, help="folder of licensed objects")
     given = parser.parse_args()
     for seed in range(given.first_seed, given.first_seed + given.count):
         folder = given.folder.resolve() / f"{seed:05d}"
         if (folder / TAKEN).exists():
             continue
-        render_scene(folder, seed, given.size, given.reference, given.assets)
+        render_scene(folder, seed, given)
         left = shutil.disk_usage(folder).free
         if left < 2 << 30:
             raise SystemExit(f"{folder}: disk full but for {left >> 20} MiB")
