@@ -23,6 +23,7 @@ FRAMES = 8
 BLOCKS = (1, 2, 4, 8, 16)  # samples a pixel of the blocks beside the last frame
 _BLOCK_SEED, _REFERENCE_SEED = 100, 1000  # no two files share their noise
 _ROOMS = 0.5  # share of the scenes that are rooms
+_BOX = 0.5  # share with a box filter, as other renderers have
 _TABLES = 0.6  # and of the others that are things on a table
 _NOISE = 0.01  # of a reference's pixel, at which it takes no more samples: Cycles' own
 
@@ -48,6 +49,8 @@ def render_scene(folder: Path, seed: int, given: argparse.Namespace) -> None:
     size = given.size
     scene = prepare((size, size))
     scene.cycles.filter_width = drawn.choice((1.5, 1.5, 1.5, 1.0, 2.0))
+    if random.Random(f"filter {seed}").random() < given.box:
+        scene.cycles.pixel_filter_type = "BOX"
     scene.cycles.sample_clamp_indirect = drawn.choice((10.0, 10.0, 3.0, 30.0))
     scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = drawn.random() < 0.5
     samples = drawn.choice((1, 1, 2, 4))
@@ -63,7 +66,7 @@ def render_scene(folder: Path, seed: int, given: argparse.Namespace) -> None:
     record = {
         "scene": kind, "seed": seed, "frames": FRAMES, "spp": samples, "blocks": BLOCKS,
         "reference_spp": given.reference, "height": size, "width": size, "used": used,
-        "clamp": scene.cycles.sample_clamp_indirect, "blender": bpy.app.version_string,
+        "filter": scene.cycles.pixel_filter_type, "clamp": scene.cycles.sample_clamp_indirect, "blender": bpy.app.version_string,
     }  # fmt: skip
     (folder / RECORD).write_text(json.dumps(record, indent=1))
 
@@ -77,6 +80,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=192, help="width and height in pixels")
     parser.add_argument("--reference", type=int, default=512, help="most samples a pixel")
     parser.add_argument("--rooms", type=float, default=_ROOMS, help="share of scenes, [0, 1]")
+    parser.add_argument("--box", type=float, default=_BOX, help="share with a box filter, [0, 1]")
     parser.add_argument("--assets", type=Path, help="folder of licensed objects")
     given = parser.parse_args()
     for seed in range(given.first_seed, given.first_seed + given.count):
