@@ -17,7 +17,9 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stillray.errors import InputError
+from stillray.families.pyramid_logits import logit_names
 from stillray.model_spec import ModelSpec, from_json
+from stillray.model_spec.loader import PyramidKernels, PyramidNetwork
 from stillray.models.registry import find_model
 from stillray_training.families import network_of
 from stillray_training.networks.repvgg import RepVGGBlock
@@ -31,8 +33,8 @@ class Start:
 
     Attributes
     ----------
-    features
-        What its network reads, in order.
+    spec
+        Its specification.
     weights
         By name, as a network in training holds them.
     origin
@@ -40,7 +42,7 @@ class Start:
         that was exported its data and their credits too. Goes into the provenance.
     """
 
-    features: tuple[str, ...]
+    spec: ModelSpec
     weights: Mapping[str, Tensor]
     origin: dict[str, Any]
 
@@ -87,7 +89,7 @@ def _of_checkpoint(path: Path) -> Start:
         for name, value in tensors.items()
         if name.startswith(prefix)
     }
-    return Start(before.network.features, weights, origin)
+    return Start(before, weights, origin)
 
 
 def _of_model(source: str | Path) -> Start:
@@ -104,7 +106,7 @@ def _of_model(source: str | Path) -> Start:
     known = ("steps", "data", "credits", "started_from")
     about = {key: info.provenance[key] for key in known if key in info.provenance}
     weights = network.state_dict()
-    return Start(info.spec.network.features, weights, {"model": info.name, **about})
+    return Start(info.spec, weights, {"model": info.name, **about})
 
 
 def unfuse(network: nn.Module, fused: Mapping[str, Tensor]) -> None:
@@ -154,10 +156,10 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
     source
         See `read_start`. A model of the same family and widths; it may have read other features,
         which are matched by name (those that it did not read begin with weights of 0), have given
-        fewer logits (new ones are appended: of neighbours, only before there are filters), fewer
-        blocks of a width that an identity spans (new ones begin as that identity), and fewer layers
-        in its dense block (what new ones add begins with weights of 0). Where the first block has
-        an identity, features stay in their places.
+        other logits (those of a kernel pyramid are matched by what they are for, of other families
+        new ones are appended), fewer blocks of a width that an identity spans (new ones begin as
+        that identity), and fewer layers in its dense block (what new ones add begins with weights
+        of 0). Where the first block has an identity, features stay in their places.
     network, spec
         What is to be trained.
 
@@ -172,7 +174,8 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
         The weights do not fit.
     """
     start = read_start(source)
-    features = start.features
+    features = start.spec.network.features
+    heads = _logits_in_common(start.spec, spec)
     state = network.state_dict()
     reads_features = str(getattr(network, "reads_features", ""))
     if features != spec.network.features and not _matches_features(network, reads_features):
@@ -182,6 +185,11 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
         )
     for name, given in start.weights.items():
         value, target = given, state.get(name, torch.empty(0))
+        if name.rpartition(".")[0] in heads:
+            ours, theirs = heads[name.rpartition(".")[0]]
+            if value.shape[1:] == target.shape[1:]:
+                target[ours] = value[theirs]
+                continue
         fits = len(value) <= len(target)
         if fits and reads_features and name.startswith(reads_features) and value.ndim == 4:
             # where blocks of pixels are read as one, every feature is several planes
@@ -208,6 +216,34 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
                     state[part].zero_()
     network.load_state_dict(state)
     return start.origin
+
+
+def _logits_in_common(before: ModelSpec, spec: ModelSpec) -> dict[str, tuple[list[int], list[int]]]:
+    """Of two kernel pyramids, by the name of a head, the planes that both give: ours and theirs."""
+    if before.family != spec.family or not isinstance(spec.decoder, PyramidKernels):
+        return {}
+    networks, decoders = (before.network, spec.network), (before.decoder, spec.decoder)
+    levels = {network.resolutions for network in networks if isinstance(network, PyramidNetwork)}
+    blocks = {network.block for network in networks if isinstance(network, PyramidNetwork)}
+    if len(levels) != 1 or len(blocks) != 1:
+        return {}
+    (count,), (block,) = levels, blocks
+    found = {}
+    for level in range(count):
+        theirs, ours = (
+            logit_names(level, count, decoder)
+            for decoder in decoders
+            if isinstance(decoder, PyramidKernels)
+        )
+        pixels = block**2 if level == 0 else 1  # planes of a logit, of the finest level
+        pairs = [
+            (pixels * ours.index(name) + pixel, pixels * theirs.index(name) + pixel)
+            for name in ours
+            if name in theirs
+            for pixel in range(pixels)
+        ]
+        found[f"heads.{level}"] = ([a for a, _ in pairs], [b for _, b in pairs])
+    return found
 
 
 def _matches_features(network: nn.Module, reads_features: str) -> bool:

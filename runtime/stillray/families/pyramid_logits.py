@@ -99,6 +99,33 @@ def level_logits(level: int, levels: int, options: PyramidKernels) -> int:
     return level_layout(level, levels, options).filters.stop
 
 
+def logit_names(level: int, levels: int, options: PyramidKernels) -> list[str]:
+    """What each plane of a level's logits is for, in their order: the same name, the same use."""
+    layout = level_layout(level, levels, options)
+    kernels = [f"{size}" for size in options.kernel_sizes]
+    own = [] if level == levels - 1 else ["itself"]
+    neighbours = [f"{down} {right}" for down, right in NEIGHBOURS]
+    names = {
+        "importance": kernels,
+        "pool": ["to the coarser"],
+        "blend": [*own, *kernels],
+        "resolve": [*neighbours, "the last output"],
+        "sample_blend": ["the new sample"],
+        "double": [f"{index}" for index in range(8)],
+        "around": [f"{name} by {far}" for far in layout.distances for name in neighbours],
+        "features": [f"{index}" for index in range(options.filter_features)],
+        "filters": [
+            f"{far} {who}" for far in layout.filter_distances for who in ("others", "itself")
+        ],
+    }
+    counted = {name: getattr(layout, name) for name in names}
+    return [
+        f"{use}: {name}"
+        for use, given in names.items()
+        for name in given[: counted[use].stop - counted[use].start]
+    ]
+
+
 def numbers(logits: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Logits with 0 where they are not numbers, which say nothing."""
     return [np.nan_to_num(level, nan=0.0, posinf=np.inf, neginf=-np.inf) for level in logits]
