@@ -9,6 +9,7 @@ torch = pytest.importorskip("torch")
 onnx = pytest.importorskip("onnx")
 
 from stillray.errors import InputError  # noqa: E402
+from stillray.families.pyramid_logits import logit_names  # noqa: E402
 from stillray.models.registry import find_model  # noqa: E402
 from stillray.models.session import open_session  # noqa: E402
 from stillray_training.families import FAMILIES, network_of  # noqa: E402
@@ -77,6 +78,32 @@ def test_a_packaged_model_starts_one_with_more_blocks_and_filters():
     # to the new filter neighbours count little, everywhere alike
     new = torch.tensor([0.0, 3.0])[:, None, None].expand_as(finest[0, -2:])
     assert torch.equal(finest[0, wanted.shape[1] :], new)
+
+
+@pytest.mark.parametrize(("name", "pixels"), [("kpyr-5", 1), ("kpyr-5s", 4)])
+def test_a_packaged_model_starts_one_with_other_logits_by_what_they_are_for(name, pixels):
+    """Logits of the finest level lie elsewhere where it has kernels, and neighbours before them."""
+    info = find_model(name)
+    decoder = dataclasses.replace(
+        info.spec.decoder, kernel_sizes=(3, 5), finest_kernels=True, finest_neighbours=(3,)
+    )
+    spec = dataclasses.replace(info.spec, decoder=decoder)
+    levels = spec.network.resolutions
+    first, second = (network_of(each) for each in (info.spec, spec))
+    start_from(name, first, info.spec)
+    start_from(name, second, spec)
+    features = torch.rand(1, len(spec.network.features), 32, 48)
+    for level, (found, wanted) in enumerate(zip(second(features), first(features), strict=True)):
+        ours, theirs = (logit_names(level, levels, each.decoder) for each in (spec, info.spec))
+        planes = pixels if level == 0 else 1
+        assert level or ours != theirs
+        kept = [use for use in theirs if use in ours]
+        assert {"pool: to the coarser", "blend: 5"} & set(kept)
+        for use in kept:
+            at, there = planes * ours.index(use), planes * theirs.index(use)
+            torch.testing.assert_close(
+                found[:, at : at + planes], wanted[:, there : there + planes], msg=use
+            )
 
 
 def test_what_is_no_start_is_refused_by_name(tmp_path):

@@ -66,7 +66,8 @@ def render_scene(folder: Path, seed: int, given: argparse.Namespace) -> None:
     record = {
         "scene": kind, "seed": seed, "frames": FRAMES, "spp": samples, "blocks": BLOCKS,
         "reference_spp": given.reference, "height": size, "width": size, "used": used,
-        "filter": scene.cycles.pixel_filter_type, "clamp": scene.cycles.sample_clamp_indirect, "blender": bpy.app.version_string,
+        "filter": scene.cycles.pixel_filter_type, "clamp": scene.cycles.sample_clamp_indirect,
+        "blender": bpy.app.version_string,
     }  # fmt: skip
     (folder / RECORD).write_text(json.dumps(record, indent=1))
 
