@@ -74,6 +74,15 @@ def test_a_scene_becomes_a_sequence_that_training_reads(rendered, tmp_path):
     assert take(rendered, out, tmp_path / "assets") is None
 
 
+def test_a_scene_without_light_is_left_out(rendered, tmp_path):
+    """Its target would be black, and the noise of its frames nothing to learn from."""
+    dark = make_frame(SIZE, SIZE, 1)
+    write_render(rendered / "ref_0001.exr", replace(dark, color=np.zeros_like(dark.color)))
+    main(rendered.parent, tmp_path / "data", assets=tmp_path / "assets", remove=True)
+    assert not (tmp_path / "data").exists()
+    assert [path.name for path in rendered.iterdir()] == [TAKEN]
+
+
 def test_renders_are_deleted_once_taken_and_not_rendered_anew(rendered, tmp_path):
     main(rendered.parent, tmp_path / "data", assets=tmp_path / "assets", remove=True)
     assert [path.name for path in rendered.iterdir()] == [TAKEN]

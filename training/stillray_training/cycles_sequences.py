@@ -29,7 +29,9 @@ from stillray_training.targets import make_targets
 
 
 def take(rendered: Path, out: Path, assets: Path | None = None) -> float | None:
-    """One scene's files as a sequence, with its target; None if it is there already.
+    """One scene's files as a sequence, with its target; None if it is there, or has no light.
+
+    A room of a seed may have no window and its only lamp inside of a thing.
 
     Parameters
     ----------
@@ -53,17 +55,19 @@ def take(rendered: Path, out: Path, assets: Path | None = None) -> float | None:
     if is_complete(out):
         return None
     given = json.loads((rendered / RENDERED).read_text(encoding="utf-8"))
-    out.mkdir(parents=True, exist_ok=True)
     before: Path | None = None
     paths = sorted(rendered.glob("frame_*.exr"))
     layout = Layout.of(paths)
+    (reference,) = sorted(rendered.glob("ref_*.exr"))
+    clean = layers_of(_read(layout, reference, None))
+    if not clean["color"].any():
+        return None
+    out.mkdir(parents=True, exist_ok=True)
     for path in paths:
         write(out / path.name, layers_of(_read(layout, path, before)))
         before = path
     for path in sorted(rendered.glob("block_*.exr")):
         write(out / path.name, layers_of(_read(layout, path, paths[-2])))
-    (reference,) = sorted(rendered.glob("ref_*.exr"))
-    clean = layers_of(_read(layout, reference, None))
     write(out / reference.name, {name: clean[name] for name in ("color", "albedo", "normal")})
     record = {
         "scene": given["scene"],
