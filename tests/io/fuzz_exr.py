@@ -112,6 +112,7 @@ def attempt(path: Path, output: Path) -> bool:
 
 def main() -> None:
     seed, count, folder = int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3])
+    folder.mkdir(parents=True, exist_ok=True)
     whole = sources(folder)
     # set only now: what the libraries map at their start is not of interest
     resource.setrlimit(resource.RLIMIT_AS, (MOST_ADDRESSES, MOST_ADDRESSES))

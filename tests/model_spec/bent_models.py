@@ -359,6 +359,7 @@ def attempt(path: Path) -> bool:
 def main() -> None:
     """Bend models one after the other, and try each."""
     seed, count, folder = int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3])
+    folder.mkdir(parents=True, exist_ok=True)
     names = ("wskp-3s", "nbg-2x1", "kpyr-5s")
     path, ran = folder / "bent.onnx", 0
     for number in range(count):

@@ -17,9 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stillray.errors import InputError
-from stillray.families.pyramid_logits import logit_names
 from stillray.model_spec import ModelSpec, from_json
-from stillray.model_spec.loader import PyramidKernels, PyramidNetwork
 from stillray.models.registry import find_model
 from stillray_training.families import network_of
 from stillray_training.networks.repvgg import RepVGGBlock
@@ -33,8 +31,10 @@ class Start:
 
     Attributes
     ----------
-    spec
-        Its specification.
+    features
+        What its network reads, in order.
+    planes
+        What the planes of its network's heads are for, by the names of the heads, where told.
     weights
         By name, as a network in training holds them.
     origin
@@ -42,7 +42,8 @@ class Start:
         that was exported its data and their credits too. Goes into the provenance.
     """
 
-    spec: ModelSpec
+    features: tuple[str, ...]
+    planes: Mapping[str, list[str]]
     weights: Mapping[str, Tensor]
     origin: dict[str, Any]
 
@@ -89,7 +90,8 @@ def _of_checkpoint(path: Path) -> Start:
         for name, value in tensors.items()
         if name.startswith(prefix)
     }
-    return Start(before, weights, origin)
+    planes = getattr(network_of(before), "planes", {})
+    return Start(before.network.features, planes, weights, origin)
 
 
 def _of_model(source: str | Path) -> Start:
@@ -106,7 +108,8 @@ def _of_model(source: str | Path) -> Start:
     known = ("steps", "data", "credits", "started_from")
     about = {key: info.provenance[key] for key in known if key in info.provenance}
     weights = network.state_dict()
-    return Start(info.spec, weights, {"model": info.name, **about})
+    planes = getattr(network, "planes", {})
+    return Start(info.spec.network.features, planes, weights, {"model": info.name, **about})
 
 
 def unfuse(network: nn.Module, fused: Mapping[str, Tensor]) -> None:
@@ -174,8 +177,8 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
         The weights do not fit.
     """
     start = read_start(source)
-    features = start.spec.network.features
-    heads = _logits_in_common(start.spec, spec)
+    features = start.features
+    heads = getattr(network, "planes", {})
     state = network.state_dict()
     reads_features = str(getattr(network, "reads_features", ""))
     if features != spec.network.features and not _matches_features(network, reads_features):
@@ -185,11 +188,12 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
         )
     for name, given in start.weights.items():
         value, target = given, state.get(name, torch.empty(0))
-        if name.rpartition(".")[0] in heads:
-            ours, theirs = heads[name.rpartition(".")[0]]
-            if value.shape[1:] == target.shape[1:]:
-                target[ours] = value[theirs]
-                continue
+        head = name.rpartition(".")[0]
+        if head in heads and head in start.planes and value.shape[1:] == target.shape[1:]:
+            ours, theirs = heads[head], start.planes[head]
+            for use in set(ours) & set(theirs):
+                target[ours.index(use)] = value[theirs.index(use)]
+            continue
         fits = len(value) <= len(target)
         if fits and reads_features and name.startswith(reads_features) and value.ndim == 4:
             # where blocks of pixels are read as one, every feature is several planes
@@ -216,34 +220,6 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
                     state[part].zero_()
     network.load_state_dict(state)
     return start.origin
-
-
-def _logits_in_common(before: ModelSpec, spec: ModelSpec) -> dict[str, tuple[list[int], list[int]]]:
-    """Of two kernel pyramids, by the name of a head, the planes that both give: ours and theirs."""
-    if before.family != spec.family or not isinstance(spec.decoder, PyramidKernels):
-        return {}
-    networks, decoders = (before.network, spec.network), (before.decoder, spec.decoder)
-    levels = {network.resolutions for network in networks if isinstance(network, PyramidNetwork)}
-    blocks = {network.block for network in networks if isinstance(network, PyramidNetwork)}
-    if len(levels) != 1 or len(blocks) != 1:
-        return {}
-    (count,), (block,) = levels, blocks
-    found = {}
-    for level in range(count):
-        theirs, ours = (
-            logit_names(level, count, decoder)
-            for decoder in decoders
-            if isinstance(decoder, PyramidKernels)
-        )
-        pixels = block**2 if level == 0 else 1  # planes of a logit, of the finest level
-        pairs = [
-            (pixels * ours.index(name) + pixel, pixels * theirs.index(name) + pixel)
-            for name in ours
-            if name in theirs
-            for pixel in range(pixels)
-        ]
-        found[f"heads.{level}"] = ([a for a, _ in pairs], [b for _, b in pairs])
-    return found
 
 
 def _matches_features(network: nn.Module, reads_features: str) -> bool:

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from stillray.model_spec import ModelSpec
-from stillray_export.frame_graph.light import luminance, tone_map
+from stillray_export.frame_graph.light import tone_map
+from stillray_training.decoders.luminance import luminance
 
 
 @dataclass(frozen=True, eq=False)

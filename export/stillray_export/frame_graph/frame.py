@@ -24,7 +24,7 @@ from stillray_export.frame_graph.albedo import accumulate_albedo
 from stillray_export.frame_graph.dilation import follow_nearer
 from stillray_export.frame_graph.encode import Prepared, feature_planes
 from stillray_export.frame_graph.exposure import depth_scale, frame_exposure, steady_exposure
-from stillray_export.frame_graph.light import local_luminance, luminance, tone_map
+from stillray_export.frame_graph.light import local_luminance, tone_map
 from stillray_export.frame_graph.lookup import grid
 from stillray_export.frame_graph.recall import forget_uncovered, recall
 from stillray_export.frame_graph.reflections import follow_reflections, light_of
@@ -34,6 +34,7 @@ from stillray_export.frame_graph.reprojection import guide_planes, reproject
 from stillray_export.frame_graph.windows import mirrored
 from stillray_training.decoders.boxes import pooled_box_mean
 from stillray_training.decoders.demodulate import divisor
+from stillray_training.decoders.luminance import luminance
 from stillray_training.decoders.pyramid import (
     blended_with_sample,
     kernel_pyramid,

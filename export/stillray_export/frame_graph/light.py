@@ -1,17 +1,9 @@
-"""Luminance and tone, the twins of parts of `stillray.stages.features`."""
+"""Tone, the twin of a part of `stillray.stages.features`."""
 
 from __future__ import annotations
 
 from torch import Tensor
 from torch.nn import functional as F
-
-_REC709 = (0.2126, 0.7152, 0.0722)
-
-
-def luminance(planes_nchw: Tensor) -> Tensor:
-    """Rec. 709 luminance of the first three channels, ``(1, 1, h, w)``."""
-    red, green, blue = (planes_nchw[:, i : i + 1] for i in range(3))
-    return red * _REC709[0] + green * _REC709[1] + blue * _REC709[2]
 
 
 def tone_map(radiance: Tensor, exposure: Tensor) -> Tensor:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from stillray_export.frame_graph.light import luminance
 from stillray_export.frame_graph.lookup import cubic_taps, linear_taps, mean_of, planes_like
 from stillray_export.frame_graph.windows import least_around, most_around
+from stillray_training.decoders.luminance import luminance
 
 _LEAST_VALID, _WHOLE = 1e-3, 1 - 1e-3
 _DARK, _MOST = 1e-30, 4096.0

@@ -12,10 +12,11 @@ from stillray.model_spec.loader import Demodulate
 from stillray.stages import specular_motion as runtime
 from stillray_export.frame_graph.camera import Camera, camera_motion, place
 from stillray_export.frame_graph.exposure import size_of
-from stillray_export.frame_graph.light import luminance, tone_map
+from stillray_export.frame_graph.light import tone_map
 from stillray_export.frame_graph.lookup import grid, linear_taps, mean_of, pixels_of, planes_like
 from stillray_export.frame_graph.windows import every_second, mean_around, whole_blocks
 from stillray_training.decoders.demodulate import is_black
+from stillray_training.decoders.luminance import luminance
 
 _LEVEL = 4  # of the pixels along an axis, one is looked at for mirrors
 

@@ -10,9 +10,9 @@ from torch import Tensor
 from stillray.stages import history_rejection as runtime
 from stillray.stages.accumulate import DARK, MIN_WEIGHT
 from stillray_export.frame_graph.exposure import size_of
-from stillray_export.frame_graph.light import luminance
 from stillray_export.frame_graph.lookup import grid, linear_taps, mean_of, pixels_of, planes_like
 from stillray_export.frame_graph.windows import area_means, enlarged, halved, mean_around
+from stillray_training.decoders.luminance import luminance
 
 # the runtime's numbers, so that there is one place for each
 _LEVELS, _NOISE_LEVEL = runtime._LEVELS, runtime._NOISE_LEVEL

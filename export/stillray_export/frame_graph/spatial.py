@@ -14,9 +14,9 @@ from stillray_export.frame_graph.color_curve import ColorCurve, decoded, encoded
 from stillray_export.frame_graph.encode import Prepared
 from stillray_export.frame_graph.exposure import frame_exposure
 from stillray_export.frame_graph.frame import Buffers, FrameGraph
-from stillray_export.frame_graph.light import luminance
 from stillray_export.frame_graph.repair import repair_feature, repair_radiance
 from stillray_training.decoders.demodulate import divisor
+from stillray_training.decoders.luminance import luminance
 
 #: Planes of the input: color, albedo and normal, three each.
 PLANES = 9

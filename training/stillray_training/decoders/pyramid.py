@@ -13,8 +13,7 @@ from stillray.families.pyramid_logits import NEIGHBOURS, level_layout
 from stillray.model_spec.loader import PyramidKernels
 from stillray_training.decoders.boxes import BoxMean
 from stillray_training.decoders.gaussian import gaussian
-
-_REC709 = (0.2126, 0.7152, 0.0722)
+from stillray_training.decoders.luminance import luminance
 
 
 class LevelParts(NamedTuple):
@@ -241,6 +240,5 @@ def resolve(
 
 def _share_of_brighter(radiance_nchw: Tensor, tone: Tensor) -> Tensor:
     """(1 + tone L) / (1 + tone L') of the eight neighbours, at most 1."""
-    weights = radiance_nchw.new_tensor(_REC709).view(1, 3, 1, 1)
-    toned = 1 + tone * (radiance_nchw * weights).sum(1, keepdim=True)
+    toned = 1 + tone * luminance(radiance_nchw)
     return (toned / torch.cat(shifted(toned), 1)).clamp(max=1)

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stillray.families.multi_resolution import level_planes
-from stillray.families.pyramid_logits import level_layout, level_logits
+from stillray.families.pyramid_logits import level_layout, level_logits, logit_names
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import FusedKernels, PyramidKernels, PyramidNetwork
 from stillray_training.networks.repvgg import RepVGGBlock
@@ -40,6 +40,8 @@ class PyramidNet(nn.Module):
 
     #: Beginning of the names of the weights that meet the features.
     reads_features = "enter.0."
+    #: What the planes of its heads are for, by the names of the heads, where that is told.
+    planes: dict[str, list[str]]
 
     def __init__(self, network: PyramidNetwork, logits: Sequence[int]) -> None:
         super().__init__()
@@ -93,7 +95,7 @@ class PyramidNet(nn.Module):
         self.heads = nn.ModuleList(
             [*finest, *(convolution(width, planes, 1) for width, planes in coarser)]
         )
-        self.block = block
+        self.block, self.planes = block, {}
         self.concatenate = network.concatenate
 
     def forward(self, features_nchw: Tensor) -> tuple[Tensor, ...]:
@@ -127,6 +129,11 @@ def kernel_pyramid_net(spec: ModelSpec) -> PyramidNet:
             layout = level_layout(level, levels, decoder)
             # of the finest level as many planes as a block has pixels
             pixels = network.block**2 if level == 0 else 1
+            names = logit_names(level, levels, decoder)
+            uses = [f"{name} {pixel}" for name in names for pixel in range(pixels)]
+            made.planes[f"heads.{level}"] = uses
+                f"{n} {pixel}" for n in names for pixel in range(pixels)
+            ]
             assert isinstance(head, nn.Conv2d)
             assert head.bias is not None
             weight, bias = (part.unflatten(0, (-1, pixels)) for part in (head.weight, head.bias))
