@@ -132,8 +132,6 @@ def kernel_pyramid_net(spec: ModelSpec) -> PyramidNet:
             names = logit_names(level, levels, decoder)
             uses = [f"{name} {pixel}" for name in names for pixel in range(pixels)]
             made.planes[f"heads.{level}"] = uses
-                f"{n} {pixel}" for n in names for pixel in range(pixels)
-            ]
             assert isinstance(head, nn.Conv2d)
             assert head.bias is not None
             weight, bias = (part.unflatten(0, (-1, pixels)) for part in (head.weight, head.bias))
