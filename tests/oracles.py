@@ -169,12 +169,8 @@ def kernel_pyramid(
         for image in (mean, np.moveaxis(sample, 0, -1))
     )
     light, held = np.zeros_like(padded[..., :3]), np.zeros(full)
-    # of the finest level what its light is multiplied by comes last, then what its filters compare
-    # and weigh by, weights of neighbours before
-    lit = np.ones(full)
-    if options.relief:
-        lit = np.exp(np.clip(logits[0][-1].astype(np.float64), -options.relief, options.relief))
-        weights[0] = weights[0][:-1]
+    # of the finest level what its filters compare and weigh by comes last, weights of neighbours
+    # before
     filters = options.filter_features + 2 * len(options.finest_filters)
     compared = weights[0][len(weights[0]) - filters :]
     weights[0] = weights[0][: len(weights[0]) - filters]
@@ -240,7 +236,7 @@ def kernel_pyramid(
         features = np.log(compared[: options.filter_features])
         pair = compared[options.filter_features + 2 * index :][:2]
         result = _by_likeness(result, features, pair[0], pair[1], distance)
-    radiance = (result * lit[..., None])[:height, :width] * albedo
+    radiance = result[:height, :width] * albedo
     resolved, tone = np.zeros_like(radiance), options.resolve_tone * exposure
     for y, x in np.ndindex(height, width):
         choices = [radiance[y, x], previous[y, x, :3].astype(np.float64)]

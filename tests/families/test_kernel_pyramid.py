@@ -14,9 +14,7 @@ from stillray.stages.state import Filterable
 from tests import oracles
 from tests.families.test_depth_to_space import by_blocks
 
-# light as it was filtered, and multiplied by up to twice
-OPTIONS = dataclasses.replace(load("kpyr-5").decoder, relief=0.0)
-RELIEF = dataclasses.replace(OPTIONS, relief=0.7)
+OPTIONS = load("kpyr-5").decoder
 
 
 def filtered(mean, sample, albedo, previous, logits, options, strips, exposure=1.0):
@@ -119,32 +117,6 @@ def test_filters_of_the_finest_level_equal_the_loop_oracle(height, width, distan
     expected = oracles.kernel_pyramid(*inputs, options)
     for strips in (Strips(1), Strips(3), Strips(1, pixels=64)):
         np.testing.assert_allclose(filtered(*inputs, options, strips), expected, rtol=5e-6)
-
-
-@pytest.mark.parametrize(("height", "width"), [(1, 1), (3, 5), (9, 14), (41, 18)])
-@pytest.mark.parametrize("distances", [(), (2, 1)])
-def test_relief_equals_the_loop_oracle(height, width, distances):
-    options = dataclasses.replace(
-        RELIEF, finest_filters=distances, filter_features=3 * bool(distances)
-    )
-    inputs = draw(height, width, options=options)
-    expected = oracles.kernel_pyramid(*inputs, options)
-    for strips in (Strips(1), Strips(3), Strips(1, pixels=64)):
-        np.testing.assert_allclose(filtered(*inputs, options, strips), expected, rtol=5e-6)
-
-
-def test_relief_multiplies_light_within_its_bound_and_nothing_that_was_an_output():
-    mean, sample, _, previous, logits = draw(33, 18, spread=50, options=RELIEF)
-    mean[..., :3] = sample[:3] = 3.0
-    logits[0][level_layout(0, LEVELS, RELIEF).relief] = 1e9
-    got = filtered(mean, sample, None, None, logits, RELIEF, Strips(1))
-    np.testing.assert_allclose(got, 3 * np.exp(0.7), rtol=1e-5)
-    # the last output was lit already
-    previous[..., :3], previous[..., 3] = 5.0, 1.0
-    logits[0][level_layout(0, LEVELS, RELIEF).resolve][-1] = 1e9
-    got = filtered(mean, sample, None, previous, logits, RELIEF, Strips(1))
-    assert (got > 4.9).all()
-    assert (got < 6.05).all()
 
 
 def test_filters_follow_what_looks_alike_and_stop_at_the_rest():

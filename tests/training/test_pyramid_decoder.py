@@ -29,11 +29,9 @@ def _nchw(image):
 @pytest.mark.parametrize("predicted", [True, False])
 @pytest.mark.parametrize("distances", [(), (1, 2)])
 @pytest.mark.parametrize("filters", [(), (4, 1)])
-@pytest.mark.parametrize("relief", [0.0, 0.7])
-def test_the_twin_equals_the_runtime(finest, predicted, distances, filters, relief):
+def test_the_twin_equals_the_runtime(finest, predicted, distances, filters):
     options = dataclasses.replace(
         OPTIONS,
-        relief=relief,
         finest_kernels=finest,
         predicted=predicted,
         finest_neighbours=distances,

@@ -376,10 +376,6 @@ class _Level:
             self.blend(around, padded[:, filled, 1:-1], workspace)
         else:
             padded[:, filled, 1:-1] = self.filtered[:, around]
-        if self.options.relief:
-            lit = workspace.array("lit", (around.stop - around.start, self.planes.shape[2]))
-            bounded_exp(self.logits[self.layout.relief, around][0], self.options.relief, lit)
-            padded[:, filled, 1:-1] *= lit
         if light.remodulation_albedo is not None:
             by = workspace.array("by", (3, around.stop - around.start, width))
             padded[:, filled, 1 : 1 + width] *= planes_of(light.remodulation_albedo[around], out=by)

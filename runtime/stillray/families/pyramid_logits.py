@@ -48,9 +48,6 @@ class LevelLayout:
         At the finest level what its last filters compare; empty elsewhere, and without filters.
     filters
         A pair a filter: what a pixel weighs to others, and to itself.
-    relief
-        At the finest level, where the spec asks for it, what its light is multiplied by; empty
-        elsewhere.
     distances
         Of the neighbours, in pixels of the level.
     filter_distances
@@ -66,7 +63,6 @@ class LevelLayout:
     around: slice
     features: slice
     filters: slice
-    relief: slice
     distances: tuple[int, ...]
     filter_distances: tuple[int, ...]
 
@@ -87,21 +83,20 @@ def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayou
         len(NEIGHBOURS) * len(distances),
         options.filter_features if level == 0 else 0,
         2 * len(filters),
-        1 if level == 0 and options.relief else 0,
     )
     starts = [sum(counts[:index]) for index in range(len(counts) + 1)]
-    importance, pool, blend, resolve, sample_blend, double, around, features, pairs, relief = (
+    importance, pool, blend, resolve, sample_blend, double, around, features, pairs = (
         slice(a, b) for a, b in pairwise(starts)
     )
     return LevelLayout(
         importance, pool, blend, resolve, sample_blend, double, around, features, pairs,
-        relief, distances, filters,
+        distances, filters,
     )  # fmt: skip
 
 
 def level_logits(level: int, levels: int, options: PyramidKernels) -> int:
     """Planes that a level's logits have, 0 being the finest."""
-    return level_layout(level, levels, options).relief.stop
+    return level_layout(level, levels, options).filters.stop
 
 
 def logit_names(level: int, levels: int, options: PyramidKernels) -> list[str]:
@@ -122,7 +117,6 @@ def logit_names(level: int, levels: int, options: PyramidKernels) -> list[str]:
         "filters": [
             f"{far} {who}" for far in layout.filter_distances for who in ("others", "itself")
         ],
-        "relief": ["light"],
     }
     counted = {name: getattr(layout, name) for name in names}
     return [

@@ -70,7 +70,6 @@ _MAX_KERNELS = 16
 _MAX_WINDOW = 127  # pixels of a reconstruction kernel
 _MAX_FILTER_FEATURES = 32
 _MOST_TONE = 1000.0
-_MOST_RELIEF = 2.0  # a factor of 7
 _MAX_LOCAL_SIZE = 255  # pixels
 _MAX_COUNT = 10**9  # steps and the like, of training
 BUFFERS = (
@@ -265,15 +264,11 @@ class PyramidKernels(Decoder):
     # In the resolve a neighbour brighter than the pixel weighs (1 + tone x) / (1 + tone y) of what
     # the network says, x and y being the exposed luminance of pixel and neighbour; 0: all of it.
     resolve_tone: float = 0.0
-    # The finest level's light is multiplied by at most e to the power of this, and by no less than
-    # its reciprocal, as the network sees shading that normals show and noise hides; 0: it is not.
-    relief: float = 0.0
 
     def __post_init__(self) -> None:
         _kernels(self.kernel_sizes)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
         _within("decoder.resolve_tone", self.resolve_tone, 0, _MOST_TONE)
-        _within("decoder.relief", self.relief, 0, _MOST_RELIEF)
         _each("decoder.finest_neighbours", self.finest_neighbours, 1, _MAX_WINDOW // 2)
         _each("decoder.finest_filters", self.finest_filters, 1, _MAX_WINDOW // 2)
         _within(

@@ -31,7 +31,6 @@ class LevelParts(NamedTuple):
     around: Tensor
     features: Tensor
     filters: Tensor
-    relief: Tensor
 
 
 def level_parts(logits: Sequence[Tensor], options: PyramidKernels) -> list[LevelParts]:
@@ -127,8 +126,6 @@ def kernel_pyramid(
     for distance, pair in pairs:
         weight, own = pair.exp().split(1, 1)
         result = gaussian(result, finest.features, weight, own, distance)
-    if options.relief:
-        result = result * finest.relief.clamp(-options.relief, options.relief).exp()
     return result
 
 

@@ -144,7 +144,6 @@ def kernel_pyramid_net(spec: ModelSpec) -> PyramidNet:
             bias[layout.sample_blend] = _NO_SAMPLE_BLEND
             weight[layout.filters] = 0
             bias[layout.filters][0::2], bias[layout.filters][1::2] = 0, _UNFILTERED
-            weight[layout.relief] = bias[layout.relief] = 0  # light as it is
             weight[layout.features] *= 2  # surfaces should differ from the start
             bias[layout.features] = 0
     return made
