@@ -9,7 +9,8 @@ pytest.importorskip("torch")
 
 from stillray.errors import InputError
 from stillray.io.exr.read_write import write_channels
-from stillray_training.online import evaluate, to_and_fro
+from stillray.profiling import plot
+from stillray_training.online import curves, evaluate, to_and_fro
 from tests.conftest import make_frame
 
 
@@ -52,3 +53,26 @@ def test_other_models_are_fed_the_mean_of_both_halves():
     both = evaluate.mean_of_halves(evaluate.dataclasses.replace(frame, color_b=3 * frame.color))
     np.testing.assert_allclose(both.color, 2 * frame.color, rtol=1e-6)
     assert both.color_b is None
+
+
+def test_both_errors_are_drawn_over_frames(tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    figures = []
+    monkeypatch.setattr(curves, "save", lambda figure, path: figures.append(figure))
+    scores = {
+        "online": {9: {"relmse": 0.1, "ssim": 0.8}, 0: {"relmse": 0.4, "ssim": 0.6}},
+        "svgf": {0: {"relmse": 0.2, "ssim": 0.7}, 9: {"relmse": 0.2, "ssim": 0.7}},
+    }
+    curves.draw_curves(scores, "a scene", tmp_path / "plot.png")
+    left, right = figures[0].axes
+    assert [line.get_label() for line in left.lines] == ["online", "svgf"]
+    assert left.lines[0].get_xydata().tolist() == [[0, 0.4], [9, 0.1]]
+    np.testing.assert_allclose(right.lines[0].get_xydata(), [[0, 0.4], [9, 0.2]])
+    plot.save(figures[0], tmp_path / "plot.png")
+    assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_where_nothing_can_be_drawn_is_told_before_measuring(tmp_path):
+    pytest.importorskip("matplotlib")
+    with pytest.raises(InputError, match="plot must be in a folder that exists"):
+        evaluate.main(tmp_path, tmp_path, plot=tmp_path / "none" / "plot.png")

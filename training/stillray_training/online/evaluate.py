@@ -4,8 +4,9 @@
 
 Frames of two halves (``stillray-simulate --second-color``) go through it, through its parts alone
 (Choi et al. 2024, figure 8), other models and peers, which are fed the mean of both halves: its
-table 1. Every metric of every frame with a reference is printed, too: its figure 7. Frames have the
-cameras of `stillray_training.online.to_and_fro`; those whose camera has a reference are measured.
+table 1. Every metric of every frame with a reference is printed, too, and drawn by ``--plot``: its
+figure 7. Frames have the cameras of `stillray_training.online.to_and_fro`; those whose camera has a
+reference are measured.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ from stillray.families.registry import FAMILIES
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr, read_picture
 from stillray.pipeline.denoiser import Denoiser
+from stillray.profiling.plot import require_drawable
 from stillray_training.blocks import frame_paths
+from stillray_training.online.curves import draw_curves
 from stillray_training.online.to_and_fro import to_and_fro
 from stillray_training.peers.registry import find_peer
 
@@ -191,8 +194,11 @@ def main(
     parts: Annotated[bool, typer.Option(help="Run its parts alone, too.")] = True,
     last: Annotated[int | None, typer.Option(help="Run so many of the last frames.")] = None,
     report: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="PNG of errors over frames.")] = None,
 ) -> None:
     """Measure the model that learns while it denoises."""
+    if plot is not None:
+        require_drawable(plot)
     scores = measure(
         sequence,
         references,
@@ -208,6 +214,10 @@ def main(
     if report is not None:
         found: Mapping[str, object] = scores
         report.write_text(json.dumps(found, indent=1), encoding="utf-8")
+    if plot is not None:
+        # what the methods are fed would squeeze all others into a corner
+        drawn = {name: frames for name, frames in scores.items() if name != "noisy"}
+        draw_curves(drawn, references.name, plot)
 
 
 if __name__ == "__main__":
