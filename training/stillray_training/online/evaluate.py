@@ -106,14 +106,14 @@ def streams(
 def _parts(opened: ExitStack) -> Iterator[tuple[str, Stream]]:
     """Each of its parts without the others (figure 8)."""
     pilots = opened.enter_context(_PilotsAlone("online"))
-    yield _PILOTS, lambda frame: _without_learning(pilots, frame)
+    yield _PILOTS, lambda frame: without_learning(pilots, frame)
     alone = opened.enter_context(_NetworkAlone("online"))
     yield _NETWORK, alone.denoise
     untaught = opened.enter_context(Denoiser("online"))
-    yield _UNTAUGHT, lambda frame: _without_learning(untaught, frame)
+    yield _UNTAUGHT, lambda frame: without_learning(untaught, frame)
 
 
-def _without_learning(denoiser: Denoiser, frame: Frame) -> np.ndarray:
+def without_learning(denoiser: Denoiser, frame: Frame) -> np.ndarray:
     """The past is kept, and what was learned is not."""
     if denoiser.state is not None:
         denoiser.state = dataclasses.replace(denoiser.state, learned=None)

@@ -24,7 +24,7 @@ from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr
 from stillray.pipeline.denoiser import Denoiser
-from stillray_training.online.evaluate import METRICS, read_reference
+from stillray_training.online.evaluate import METRICS, read_reference, without_learning
 
 _UNLIT = 0.5  # share of the pixels whose one path found no light
 
@@ -52,7 +52,7 @@ def noisy(clean: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def run(
-    clean: np.ndarray, features: Frame, frames: int, model: str = "online"
+    clean: np.ndarray, features: Frame, frames: int, *, learns: bool = True
 ) -> Iterator[tuple[int, dict[str, float]]]:
     """Number, from 1, and scores of those frames that are looked at: 1, 2, 4, ... and the last.
 
@@ -64,14 +64,15 @@ def run(
         Its other buffers, of the same size.
     frames
         How many.
-    model
-        Of two halves.
+    learns
+        Whether what was learned is kept from frame to frame.
     """
     rng = np.random.default_rng(0)
-    with Denoiser(model) as denoiser:
+    with Denoiser("online") as denoiser:
         for number in range(1, frames + 1):
             halves = {name: noisy(clean, rng) for name in ("color", "color_b")}
-            image = denoiser.denoise(dataclasses.replace(features, **halves))
+            frame = dataclasses.replace(features, **halves)
+            image = denoiser.denoise(frame) if learns else without_learning(denoiser, frame)
             if number & (number - 1) == 0 or number == frames:
                 found = evaluate([image], [clean], names=METRICS)
                 yield number, {metric: found[metric] for metric in METRICS}
@@ -81,6 +82,7 @@ def main(
     reference: Annotated[Path, typer.Argument(help="EXR of what is right.")],
     features: Annotated[Path, typer.Argument(help="EXR of albedo, normal and depth of the same.")],
     frames: Annotated[int, typer.Option(min=1)] = 1000,
+    learns: Annotated[bool, typer.Option(help="Keep what was learned.")] = True,
     shrink: Annotated[int, typer.Option(min=1, help="Pixels of the EXR to one.")] = 5,
 ) -> None:
     """Denoise a still view for long, and print errors at frames 1, 2, 4 and so on."""
@@ -88,7 +90,7 @@ def main(
     small = shrunk(given, (given.shape[0] // shrink, given.shape[1] // shrink))
     clean = read_reference(reference, small.shape)
     print(f"{'frame':>8s}" + "".join(f"{name:>10s}" for name in METRICS))
-    for number, found in run(clean, small, frames):
+    for number, found in run(clean, small, frames, learns=learns):
         print(f"{number:8d}" + "".join(f"{found[name]:10.4f}" for name in METRICS), flush=True)
 
 
