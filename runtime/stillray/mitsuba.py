@@ -130,7 +130,8 @@ class Denoiser:
             arrays = {n: _array(v) for n, v in given.items() if v is not None}
         else:
             picture, arrays = _layers_of(noisy, given, channels)
-        return type(noisy)(self._denoise(picture, arrays))
+        clean = self._denoise(picture, arrays)
+        return clean if isinstance(noisy, np.ndarray) else type(noisy)(clean)
 
     def reset(self) -> None:
         """Begin a new sequence."""
@@ -264,10 +265,10 @@ def _array(value: Any) -> np.ndarray:
 
 
 def _equal(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two pictures are, NaN too: rows by rows, as the first ones mostly tell them apart."""
+    """Whether two pictures are, NaN too: rows by rows, as the first one mostly tells them apart."""
     return one.shape == other.shape and all(
-        np.array_equal(one[y : y + _ROWS], other[y : y + _ROWS], equal_nan=True)
-        for y in range(0, len(one), _ROWS)
+        np.array_equal(one[rows], other[rows], equal_nan=True)
+        for rows in (slice(1), *(slice(y, y + _ROWS) for y in range(1, len(one), _ROWS)))
     )
 
 

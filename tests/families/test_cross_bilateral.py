@@ -8,10 +8,9 @@ from stillray.families.cross_bilateral import Estimates, cross_bilateral, taps
 
 
 def make(rng, height, width):
-    guides = rng.random((4, 3, height, width)).astype(np.float32)
     estimates = Estimates(
-        values=guides[:2].copy(),
-        guides=guides,
+        values=rng.random((2, 3, height, width)).astype(np.float32),
+        guides=rng.random((2, 3, height, width)).astype(np.float32),
         past=rng.random((3, height, width)).astype(np.float32),
         valid=(rng.random((height, width)) < 0.7).astype(np.float32),
     )
@@ -21,7 +20,8 @@ def make(rng, height, width):
 
 def oracle(estimates, parameters, checkered):
     """Equations 8 to 10 as they stand, in float64."""
-    guides, values = estimates.guides.astype(np.float64), estimates.values.astype(np.float64)
+    values = estimates.values.astype(np.float64)
+    guides = np.concatenate([values, estimates.guides.astype(np.float64)])
     past, valid = estimates.past.astype(np.float64), estimates.valid
     height, width = valid.shape
     found = np.empty((3, height, width))
@@ -87,10 +87,12 @@ def test_torch_filters_as_the_runtime_does(rng):
 
     estimates, parameters = make(rng, 12, 16)
     parameters = parameters[:, :12, :16]
-    planes = torch.from_numpy(estimates.guides.reshape(12, 12, 16))
+    pilots, guides = (
+        torch.from_numpy(part.reshape(6, 12, 16)) for part in (estimates.values, estimates.guides)
+    )
     for checkered in (False, True):
         halves, weights = of_torch.cross_bilateral(
-            planes[:6], planes[6:], torch.ones(1, 12, 16),
+            pilots, guides, torch.ones(1, 12, 16),
             torch.from_numpy(parameters), checkered=checkered,
         )  # fmt: skip
         combined = (halves * weights[:, None]).sum(0) / weights.sum(0)

@@ -131,6 +131,13 @@ def test_a_bitmap_of_many_channels_is_the_same_as_tensors(frames):
     np.testing.assert_array_equal(np.array(clean)[..., 3], alpha[..., 0])  # kept as it is
 
 
+def test_an_array_gives_an_array(frames, stream):
+    with Denoiser((WIDTH, HEIGHT), **FAST) as denoiser:
+        clean = denoiser(frames[0].color)
+    assert type(clean) is np.ndarray
+    np.testing.assert_array_equal(clean, stream.denoise(stillray.Frame(color=frames[0].color)))
+
+
 def test_alpha_is_filtered_on_request(frames):
     alpha = (np.random.default_rng(2).random((HEIGHT, WIDTH, 1)) < 0.5).astype(np.float32)
     noisy = np.concatenate([frames[0].color, alpha], axis=2)
@@ -166,9 +173,11 @@ def test_what_is_missing_or_wrong_is_said(frames):
 
 
 def test_a_call_takes_longer_than_its_stream():
-    found = costs("fast", (HEIGHT, WIDTH), 3, threads=1)
+    found, copies = costs("fast", (HEIGHT, WIDTH), 3, threads=1)
     assert np.shape(found) == (3, 2)
+    assert np.shape(copies) == (3, 2)
     assert np.min(found) > 0
+    assert np.min(copies) > 0
 
 
 # Flow

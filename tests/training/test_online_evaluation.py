@@ -8,8 +8,9 @@ import pytest
 pytest.importorskip("torch")
 
 from stillray.errors import InputError
-from stillray.io.exr.read_write import write_channels
-from stillray_training.online import evaluate, to_and_fro
+from stillray.io.exr.read_write import write_channels, write_exr
+from stillray.profiling import plot
+from stillray_training.online import curves, evaluate, still_frames, to_and_fro
 from tests.conftest import make_frame
 
 
@@ -52,3 +53,63 @@ def test_other_models_are_fed_the_mean_of_both_halves():
     both = evaluate.mean_of_halves(evaluate.dataclasses.replace(frame, color_b=3 * frame.color))
     np.testing.assert_allclose(both.color, 2 * frame.color, rtol=1e-6)
     assert both.color_b is None
+
+
+def test_both_errors_are_drawn_over_frames(tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    figures = []
+    monkeypatch.setattr(curves, "save", lambda figure, path: figures.append(figure))
+    scores = {
+        "online": {9: {"relmse": 0.1, "ssim": 0.8}, 0: {"relmse": 0.4, "ssim": 0.6}},
+        "svgf": {0: {"relmse": 0.2, "ssim": 0.7}, 9: {"relmse": 0.2, "ssim": 0.7}},
+    }
+    curves.draw_curves(scores, "a scene", tmp_path / "plot.png")
+    left, right = figures[0].axes
+    assert [line.get_label() for line in left.lines] == ["online", "svgf"]
+    assert left.lines[0].get_xydata().tolist() == [[0, 0.4], [9, 0.1]]
+    np.testing.assert_allclose(right.lines[0].get_xydata(), [[0, 0.4], [9, 0.2]])
+    plot.save(figures[0], tmp_path / "plot.png")
+    assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_where_nothing_can_be_drawn_is_told_before_measuring(tmp_path):
+    pytest.importorskip("matplotlib")
+    with pytest.raises(InputError, match="plot must be in a folder that exists"):
+        evaluate.main(tmp_path, tmp_path, plot=tmp_path / "none" / "plot.png")
+
+
+def test_noise_of_still_frames_has_the_right_mean(rng):
+    clean = rng.random((40, 50, 3)).astype(np.float32)
+    mean = sum(still_frames.noisy(clean, rng).mean() for _ in range(40)) / 40
+    assert mean == pytest.approx(clean.mean(), rel=0.03)
+    assert np.mean(still_frames.noisy(clean, rng)[..., 0] == 0) == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_still_run_is_looked_at_at_powers_of_two_and_its_end():
+    frame = make_frame(16, 24)
+    small = still_frames.shrunk(frame, (8, 12))
+    np.testing.assert_allclose(
+        small.albedo, frame.albedo.reshape(8, 2, 12, 2, 3).mean((1, 3)), rtol=1e-5
+    )
+    found = dict(still_frames.run(np.full((8, 12, 3), 0.2, np.float32), small, 6))
+    assert list(found) == [1, 2, 4, 6]
+    assert found[6]["psnr"] > found[1]["psnr"]
+    with pytest.raises(InputError, match="features must hold albedo"):
+        still_frames.shrunk(evaluate.dataclasses.replace(frame, depth=None), (8, 12))
+
+
+def test_renders_of_two_seeds_have_references_by_number(tmp_path):
+    frames = [make_frame(6, 8, seed) for seed in range(4)]
+    for number, frame in enumerate(frames):
+        write_exr(tmp_path / f"a.{number:04d}.exr", frame.color)
+        write_exr(tmp_path / f"b.{number:04d}.exr", 2 * frame.color)
+    write_exr(tmp_path / "clean.0002.exr", frames[2].color)
+    patterns = [str(tmp_path / f"{name}.####.exr") for name in ("a", "b", "clean")]
+    shown = list(evaluate.of_renders(*patterns, last=3))
+    assert [one.number for one in shown] == [1, 2, 3]
+    assert [one.reference is not None for one in shown] == [False, True, False]
+    for one in shown:
+        np.testing.assert_allclose(one.frame.color_b, 2 * one.frame.color, rtol=1e-3)
+        np.testing.assert_allclose(one.frame.color, frames[one.number].color, rtol=1e-3)
+    with pytest.raises(InputError, match="references must have numbers of frames"):
+        list(evaluate.of_renders(*patterns, last=1))

@@ -23,9 +23,9 @@ class Estimates:
     Attributes
     ----------
     values : (2, 3, h, w) float32
-        Both estimates, as they are averaged.
-    guides : (4, 3, h, w) float32
-        What a band is of: both estimates as their bands see them, albedo, normals.
+        Both estimates.
+    guides : (2, 3, h, w) float32
+        What has bands besides: albedo, normals.
     past : (3, h, w) float32
         The last output at these pixels.
     valid : (h, w) float32
@@ -78,18 +78,18 @@ def cross_bilateral(
     height, width = estimates.valid.shape
     size = height + 2 * _REACH, width + 2 * _REACH
     workspace = strips.workspace
-    guides = workspace.array("surrounded bands", (*estimates.guides.shape[:2], *size))
-    values = workspace.array("surrounded values", (*estimates.values.shape[:2], *size))
+    # what has bands: estimates, albedo, normals; in memory that the regression needs no more
+    planes = workspace.array("surrounded", (4, 3, *size))
     out = workspace.array("combined", (3, height, width))
     offsets = taps(checkered)
 
     def carry_on(rows: slice) -> None:
-        surround(estimates.guides, guides, _REACH, rows)
-        surround(estimates.values, values, _REACH, rows)
+        surround(estimates.values, planes[:2], _REACH, rows)
+        surround(estimates.guides, planes[2:], _REACH, rows)
 
     def work(rows: slice) -> None:
         theta = parameters[:, rows, :width]
-        sums, weights = _sums(guides, values, theta, rows, height, offsets)
+        sums, weights = _sums(planes, theta, rows, height, offsets)
         sums /= weights[:, None]
         with np.errstate(over="ignore"):
             share = 1 - estimates.valid[rows] / (1 + np.exp(theta[-1]))
@@ -105,8 +105,7 @@ def cross_bilateral(
 
 
 def _sums(
-    guides: np.ndarray,
-    values: np.ndarray,
+    planes: np.ndarray,
     theta: np.ndarray,
     rows: slice,
     height: int,
@@ -116,7 +115,7 @@ def _sums(
     _, count, width = theta.shape
     slopes = -1 / (np.square(theta[:5]) + EPSILON)
     of_place, slopes = slopes[4], slopes[:4]
-    own = guides[:, :, rows.start + _REACH : rows.stop + _REACH, _REACH : _REACH + width]
+    own = planes[:, :, rows.start + _REACH : rows.stop + _REACH, _REACH : _REACH + width]
     sums, weights = np.zeros((2, 3, count, width), np.float32), np.zeros((2, count, width), "f4")
     apart, moved = np.empty((4, 3, count, width), "f4"), np.empty_like(sums)
     exponent, shared = np.empty((4, count, width), "f4"), np.empty((count, width), "f4")
@@ -129,7 +128,7 @@ def _sums(
             slice(rows.start + y + _REACH, rows.stop + y + _REACH),
             slice(x + _REACH, x + _REACH + width),
         )
-        np.subtract(guides[:, :, *there], own, out=apart)
+        np.subtract(planes[:, :, *there], own, out=apart)
         np.square(apart, out=apart)
         np.add(apart[:, 0], apart[:, 1], out=exponent)
         exponent += apart[:, 2]
@@ -144,6 +143,6 @@ def _sums(
             weight[:, :top] = weight[:, bottom:] = 0
             weight[:, :, :least] = weight[:, :, most:] = 0
         weights += weight
-        np.multiply(values[:, :, *there], weight[:, None], out=moved)
+        np.multiply(planes[:2, :, *there], weight[:, None], out=moved)
         sums += moved
     return sums, weights

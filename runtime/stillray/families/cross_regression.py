@@ -116,8 +116,10 @@ def _surrounded(
 
     strips.run(estimate, height, width)
     size = [2 * _REACH + 1 + -(-extent // SPACING) * SPACING for extent in (height, width)]
-    padded = strips.workspace.array("surrounded halves", (2, _COLORS + 1, *size))
-    shared = strips.workspace.array("surrounded guides", (len(guides) + 1, *size))
+    of_halves = 2 * (_COLORS + 1)
+    planes = strips.workspace.array("surrounded", (of_halves + len(guides) + 1, *size))
+    padded = planes[:of_halves].reshape(2, _COLORS + 1, *size)
+    shared = planes[of_halves:]
 
     def carry_on(rows: slice) -> None:
         for half, deviated, target in zip(halves, noise, padded, strict=True):

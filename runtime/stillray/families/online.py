@@ -142,9 +142,12 @@ class OnlineModel:
         # of both halves alike: pictures do not depend on which is called the first
         exposure = math.sqrt(prepared.history.exposure) * math.sqrt(other.exposure)
         with timed(context.timings, "regress"):
-            halves = [exposed(half.mean, exposure, strips) for half in (prepared.history, other)]
             guides = _guide_planes(prepared, context)
-            both = self.pilots(halves[0], halves[1], guides, strips)
+            both = self.pilots(
+                *(exposed(half.mean, exposure, strips) for half in (prepared.history, other)),
+                guides,
+                strips,
+            )
         shape, albedo = plan.first.shape, prepared.remodulation_albedo
         taught, last = no_pilots(shape), np.zeros((4, *shape), np.float32)
         if plan.runs("warp") and plan.past is not None:
@@ -164,7 +167,7 @@ class OnlineModel:
         with timed(context.timings, "filter"):
             estimates = Estimates(
                 values=both,
-                guides=_tell_apart(both, guides, context),
+                guides=guides.reshape(2, _COLORS, *shape),
                 past=last[:3],
                 valid=last[3],
             )
@@ -283,18 +286,6 @@ def _guide_planes(prepared: Prepared, context: Context) -> np.ndarray:
 
     context.strips.run(work, *guides.shape[2:])
     return guides.reshape(-1, *guides.shape[2:])
-
-
-def _tell_apart(both: np.ndarray, guides: np.ndarray, context: Context) -> np.ndarray:
-    """What bands are of, ``(4, 3, h, w)``: both estimates, albedo and normals."""
-    found = context.workspace.array("bands", (4, *both.shape[1:]))
-
-    def work(rows: slice) -> None:
-        found[:2, :, rows] = both[:, :, rows]
-        found[2:, :, rows] = guides[:, rows].reshape(2, _COLORS, -1, both.shape[-1])
-
-    context.strips.run(work, *both.shape[2:])
-    return found
 
 
 def _remembered(

@@ -1,7 +1,8 @@
 """``python -m stillray_training.blender.show FOLDER``: a small show in a look of its own.
 
 Shots of `stillray_training.blender.neon`: ``noisy/s000.0000.exr``, ... as Blender writes them, and
-``clean/s000.0007.exr``, the reference of every eighth frame. What is there already is kept.
+``clean/s000.0007.exr``, the reference of every eighth frame. What is there already is kept. The
+same shots with another ``--noise-seed``, in another folder, are second halves of their samples.
 """
 
 from __future__ import annotations
@@ -25,7 +26,11 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=160, help="width and height in pixels")
     parser.add_argument("--samples", type=int, default=4, help="of noisy frames, a pixel")
     parser.add_argument("--reference", type=int, default=128, help="samples of references")
+    parser.add_argument("--noise-seed", type=int, default=0, help="of the noise of frame 0")
     given = parser.parse_args()
+    last = given.noise_seed + given.frames
+    if given.noise_seed < 0 or last > _REFERENCE_SEED:
+        parser.error(f"noise-seed and frames must sum to {_REFERENCE_SEED} at most, got {last}")
     folder = given.folder.resolve()
     for shot in range(given.first_seed, given.first_seed + given.shots):
         scene = prepare((given.size, given.size))
@@ -33,7 +38,8 @@ def main() -> None:
         neon.build(shot, given.frames)
         for frame in range(given.frames):
             name = f"s{shot:03d}.{frame:04d}.exr"
-            render(folder / "noisy" / name, frame=frame, samples=given.samples, seed=frame)
+            seed = given.noise_seed + frame
+            render(folder / "noisy" / name, frame=frame, samples=given.samples, seed=seed)
             if frame % 8 == 7:
                 seed = _REFERENCE_SEED + frame
                 render(folder / "clean" / name, frame=frame, samples=given.reference, seed=seed)

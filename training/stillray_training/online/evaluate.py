@@ -4,15 +4,19 @@
 
 Frames of two halves (``stillray-simulate --second-color``) go through it, through its parts alone
 (Choi et al. 2024, figure 8), other models and peers, which are fed the mean of both halves: its
-table 1. Every metric of every frame with a reference is printed, too: its figure 7. Frames have the
-cameras of `stillray_training.online.to_and_fro`; those whose camera has a reference are measured.
+table 1. Every metric of every frame with a reference is printed, too, and drawn by ``--plot``: its
+figure 7. Frames have the cameras of `stillray_training.online.to_and_fro`; those whose camera has a
+reference are measured.
+
+``... evaluate 'a/noisy/s000.####.exr' 'a/clean/s000.####.exr' --color-b 'b/noisy/s000.####.exr'``
+does the same with anybody's renders of two seeds: a reference has the number of its frame.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from statistics import mean
@@ -24,6 +28,7 @@ import numpy as np
 import typer
 
 from stillray.arrays.strips import Strips
+from stillray.batch.file_layout import Layout
 from stillray.cli import program
 from stillray.compare.metrics import evaluate
 from stillray.errors import InputError
@@ -32,8 +37,11 @@ from stillray.families.online import OnlineModel
 from stillray.families.registry import FAMILIES
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr, read_picture
+from stillray.io.file_sequence import expand, map_companions
 from stillray.pipeline.denoiser import Denoiser
+from stillray.profiling.plot import require_drawable
 from stillray_training.blocks import frame_paths
+from stillray_training.online.curves import draw_curves
 from stillray_training.online.to_and_fro import to_and_fro
 from stillray_training.peers.registry import find_peer
 
@@ -75,7 +83,8 @@ def mean_of_halves(frame: Frame) -> Frame:
     """A frame for models that know one color: the mean of both, of twice the samples."""
     assert frame.color_b is not None
     color = (frame.color + frame.color_b) / 2
-    return dataclasses.replace(frame, color=color, color_b=None)
+    samples = None if frame.samples is None else 2 * frame.samples
+    return dataclasses.replace(frame, color=color, color_b=None, samples=samples)
 
 
 def streams(
@@ -97,30 +106,41 @@ def streams(
 def _parts(opened: ExitStack) -> Iterator[tuple[str, Stream]]:
     """Each of its parts without the others (figure 8)."""
     pilots = opened.enter_context(_PilotsAlone("online"))
-    yield _PILOTS, lambda frame: _without_learning(pilots, frame)
+    yield _PILOTS, lambda frame: without_learning(pilots, frame)
     alone = opened.enter_context(_NetworkAlone("online"))
     yield _NETWORK, alone.denoise
     untaught = opened.enter_context(Denoiser("online"))
-    yield _UNTAUGHT, lambda frame: _without_learning(untaught, frame)
+    yield _UNTAUGHT, lambda frame: without_learning(untaught, frame)
 
 
-def _without_learning(denoiser: Denoiser, frame: Frame) -> np.ndarray:
+def without_learning(denoiser: Denoiser, frame: Frame) -> np.ndarray:
     """The past is kept, and what was learned is not."""
     if denoiser.state is not None:
         denoiser.state = dataclasses.replace(denoiser.state, learned=None)
     return denoiser.denoise(frame)
 
 
-def measure(
-    sequence: Path,
-    references: Path,
-    models: Sequence[str],
-    peers: Sequence[str],
-    *,
-    last: int | None = None,
-    parts: bool = True,
-) -> Scores:
-    """Scores of every method, by the number of the frame.
+@dataclasses.dataclass(frozen=True, eq=False)
+class Shown:
+    """A frame of two halves.
+
+    Attributes
+    ----------
+    number
+        Of the frame.
+    frame
+        With ``color_b``.
+    reference : (h, w, 3) float32 or None
+        What it should be.
+    """
+
+    number: int
+    frame: Frame
+    reference: np.ndarray | None
+
+
+def of_simulator(sequence: Path, references: Path, last: int | None = None) -> Iterator[Shown]:
+    """Frames with the cameras of `to_and_fro`.
 
     Parameters
     ----------
@@ -128,12 +148,8 @@ def measure(
         Folder of ``frame_0000.exr`` and so on, each of two halves.
     references
         Folder of ``ref_0004.exr`` and so on, by camera; as large as the frames, or a multiple.
-    models, peers
-        Other models, and peers, by name.
     last
-        How many of the last frames to run; None for all.
-    parts
-        Whether its parts run alone, too.
+        How many of the last frames; None for all.
     """
     paths = frame_paths(sequence)[-last if last else None :]
     if not paths:
@@ -142,18 +158,65 @@ def measure(
     if not known:
         raise InputError(f"references must hold ref_0000.exr or the like, got {references}")
     cameras = to_and_fro(len(paths), max(known) + 1)
+    for number, path in enumerate(paths):
+        frame = read_exr(path)
+        reference = known.get(cameras[number])
+        wanted = None if reference is None else read_reference(reference, frame.shape)
+        yield Shown(number, frame, wanted)
+
+
+def of_renders(frames: str, second: str, references: str, last: int | None) -> Iterator[Shown]:
+    """Frames of any renderer, `stillray.io.file_sequence` patterns of either half's files.
+
+    Parameters
+    ----------
+    frames
+        With all buffers.
+    second
+        The same frames of another seed, of which color alone is taken.
+    references
+        Of some numbers of frames, or all.
+    last
+        As for `of_simulator`.
+    """
+    files = expand(frames)[-last if last else None :]
+    halves = map_companions(second, files, name="color-b")
+    known = {file.number: file.path for file in expand(references)}
+    if not known.keys() & {file.number for file in files}:
+        raise InputError(f"references must have numbers of frames, got {references}")
+    before: Path | None = None
+    layout = Layout.of([file.path for file in files])
+    for index, (file, half) in enumerate(zip(files, halves, strict=True)):
+        frame = layout.read(file.path, {"color_b": half}, before)[0].frame
+        path = known.get(file.number)
+        wanted = None if path is None else read_reference(path, frame.shape)
+        yield Shown(index if file.number is None else file.number, frame, wanted)
+        before = file.path
+
+
+def measure(
+    shot: Iterable[Shown], models: Sequence[str], peers: Sequence[str], *, parts: bool = True
+) -> Scores:
+    """Scores of every method, by the number of the frame.
+
+    Parameters
+    ----------
+    shot
+        Frames in order.
+    models, peers
+        Other models, and peers, by name.
+    parts
+        Whether its parts run alone, too.
+    """
     scores: Scores = {}
     with ExitStack() as opened:
         methods = dict(streams(models, peers, opened, parts=parts))
-        for number, path in enumerate(paths):
-            frame = read_exr(path)
-            reference = known.get(cameras[number])
-            wanted = None if reference is None else read_reference(reference, frame.shape)
+        for shown in shot:
             for name, denoise in methods.items():
-                image = denoise(frame)
-                if wanted is not None:
-                    found = evaluate([image], [wanted], names=METRICS)
-                    scores.setdefault(name, {})[number] = {m: found[m] for m in METRICS}
+                image = denoise(shown.frame)
+                if shown.reference is not None:
+                    found = evaluate([image], [shown.reference], names=METRICS)
+                    scores.setdefault(name, {})[shown.number] = {m: found[m] for m in METRICS}
     return scores
 
 
@@ -184,23 +247,26 @@ def curves(scores: Scores, metric: str) -> list[str]:
 
 
 def main(
-    sequence: Annotated[Path, typer.Argument(help="Folder of frames of two halves.")],
-    references: Annotated[Path, typer.Argument(help="Folder of references by camera.")],
+    sequence: Annotated[str, typer.Argument(help="Folder of frames of two halves, or files.")],
+    references: Annotated[str, typer.Argument(help="Folder of references by camera, or files.")],
+    color_b: Annotated[str | None, typer.Option(help="Files of the second halves.")] = None,
     model: Annotated[list[str] | None, typer.Option(help="Other models; repeatable.")] = None,
     peer: Annotated[list[str] | None, typer.Option(help="Peers; repeatable.")] = None,
     parts: Annotated[bool, typer.Option(help="Run its parts alone, too.")] = True,
     last: Annotated[int | None, typer.Option(help="Run so many of the last frames.")] = None,
     report: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="PNG of errors over frames.")] = None,
 ) -> None:
     """Measure the model that learns while it denoises."""
-    scores = measure(
-        sequence,
-        references,
-        model or ["kpyr-5", "nbg-2x3"],
-        peer or ["svgf", "bmfr", "oidn-high"],
-        last=last,
-        parts=parts,
+    if plot is not None:
+        require_drawable(plot)
+    shot = (
+        of_simulator(Path(sequence), Path(references), last)
+        if color_b is None
+        else of_renders(sequence, color_b, references, last)
     )
+    models, peers = model or ["kpyr-5", "nbg-2x3"], peer or ["svgf", "bmfr", "oidn-high"]
+    scores = measure(shot, models, peers, parts=parts)
     for line in table(scores):
         print(line)
     for metric in METRICS:
@@ -208,6 +274,10 @@ def main(
     if report is not None:
         found: Mapping[str, object] = scores
         report.write_text(json.dumps(found, indent=1), encoding="utf-8")
+    if plot is not None:
+        # what the methods are fed would squeeze all others into a corner
+        drawn = {name: frames for name, frames in scores.items() if name != "noisy"}
+        draw_curves(drawn, Path(references).stem, plot)
 
 
 if __name__ == "__main__":
