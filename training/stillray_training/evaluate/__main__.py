@@ -50,7 +50,7 @@ def main(
         str | None, typer.Option(help="Samples a pixel of the stills, such as 4,16; default: all.")
     ] = None,
     metrics: Annotated[
-        str | None, typer.Option(help=f"Out of {','.join(_METRIC_NAMES)}; default: all.")
+        str | None, typer.Option(help=f"Out of {','.join(_METRIC_NAMES)}; default: all but rmse.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Write scores as JSON.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write the tables as Markdown.")] = None,
