@@ -39,7 +39,7 @@ class Metric:
     package: str  # what to install for that
     higher_is_better: bool = False
     is_signed: bool = False  # 0 is best, and both directions are bad
-    when_named: bool = False  # measured only where it is named: another says the same in other units
+    when_named: bool = False  # measured where it is named alone: another says the same
 
     def loss(self, value: float) -> float:
         """The value turned so that less is better."""
@@ -135,11 +135,9 @@ def evaluate(
         "smape": float(np.mean(np.abs(a - b) / (np.abs(a) + np.abs(b) + SMAPE_EPSILON))),
         "relmse": float(np.mean((a - b) ** 2 / (b**2 + RELATIVE_MSE_EPSILON))),
     }
-    measured = {
-        metric.name
-        for metric in METRICS
-        if metric.is_installed and (not metric.when_named if names is None else metric.name in names)
-    }
+    if names is None:
+        names = [metric.name for metric in METRICS if not metric.when_named]
+    measured = {metric.name for metric in METRICS if metric.is_installed and metric.name in names}
     if measured & {"psnr", "ssim"}:
         from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
