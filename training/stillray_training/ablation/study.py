@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from rich.progress import Progress
 from safetensors import safe_open
 
 from stillray.errors import InputError
+from stillray.model_spec.loader import from_json
 from stillray_training.ablation.variants import Variant
 from stillray_training.checkpoint import CHECKPOINT
 from stillray_training.examples import STILL
@@ -36,8 +36,8 @@ def steps_done(variant: Variant, out: Path) -> int:
         return 0
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
-    # not by the text: a specification that was read back has lists for tuples, in the same JSON
-    if json.loads(metadata["spec"]) != json.loads(variant.spec.to_json()):
+    # not by the text, which lacks what specifications did not know when it was written
+    if from_json(metadata["spec"]) != variant.spec:
         raise InputError(f"{path}: the checkpoint must be of the study as it is now: remove it")
     return int(metadata["step"])
 

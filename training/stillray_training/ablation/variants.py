@@ -22,6 +22,7 @@ from stillray_training.peers import (
 
 BASE = "wskp-6"
 MULTI_RESOLUTION = "wskp-mr"
+PAPER_INPUT = "wskp-6, the paper's input"
 ONE_LAYER = "MR-KP of one layer"
 BASE_FAMILY = "weight-sharing-kernels"
 #: Scored on a single frame, too: accumulation off.
@@ -33,6 +34,11 @@ KERNEL_COUNTS = (1, 2, 3, 4, 5, 6, 8, 10)
 STILL_SAMPLES = 64
 # Short, so that the whole study fits into an hour of one core; the rest is the base's recipe.
 STEPS, _BATCH, _PATCH = 600, 4, 64
+#: What the networks of Fan et al. 2021 read, section 5.1.
+PAPER_FEATURES = (
+    "ldr.r", "ldr.g", "ldr.b", "albedo.r", "albedo.g", "albedo.b",
+    "scaled_normal.x", "scaled_normal.y", "scaled_normal.z", "depth",
+)  # fmt: skip
 #: By the family of the model that a peer stands beside.
 _PREDICTIONS = {
     "weight-sharing-kernels": kernel_prediction.FAMILY,
@@ -178,6 +184,7 @@ def _once(steps: int) -> list[Variant]:
         _without_branches(kernels),
         Variant(spec=_with(base, "KP-fusion"), predicts=True),
         _of_one_layer(predicted),
+        _with_input(Variant(spec=base), PAPER_INPUT, PAPER_FEATURES),
         *(_for_many(one) for one in (Variant(spec=resolutions), predicted, kernels)),
         *(
             Variant(spec=_with(base, fused(count), sizes=sizes_of(count)))
@@ -222,6 +229,13 @@ COMPARISONS = (
         source="supplement, table 5: KP-fusion predicts a kernel of each of the six sizes and a "
         "share for each",
         variants=("KP", "KP-fusion", BASE),
+    ),
+    Comparison(
+        title="What the network reads",
+        source="Section 5.1: ten planes, radiance with its albedo as displayed, albedo, normals in "
+        "[0, 1] and depth; ours are twelve, light without albedo, its local mean and the samples "
+        "held among them",
+        variants=(BASE, PAPER_INPUT),
     ),
     Comparison(
         title="Many samples, one frame",
@@ -293,6 +307,12 @@ def _with_kernel(spec: ModelSpec, name: str, size: int) -> ModelSpec:
 
 def _without_branches(variant: Variant) -> Variant:
     spec = dataclasses.replace(without_branches(variant.spec), name=f"{variant.name}, no branches")
+    return dataclasses.replace(variant, spec=spec)
+
+
+def _with_input(variant: Variant, name: str, features: tuple[str, ...]) -> Variant:
+    network = dataclasses.replace(variant.spec.network, features=features)
+    spec = dataclasses.replace(variant.spec, name=name, network=network)
     return dataclasses.replace(variant, spec=spec)
 
 
