@@ -21,7 +21,7 @@ def test_with_and_without_are_the_same_model_on_the_same_frames(monkeypatch, rng
     runs = [("stills", False, [frame], reference), ("sequences", True, [frame] * 2, reference)]
     asked = []
     monkeypatch.setattr(
-        outlier_study, "_runs", lambda folder, samples: asked.append(samples) or iter(runs)
+        outlier_study, "runs", lambda folder, samples: asked.append(samples) or iter(runs)
     )
     outlier_study.main(Path(), model="nbg-2x1", deviations=[2.0], samples=16)
     assert asked == [16]

@@ -103,7 +103,7 @@ def test_the_error_of_filtered_halves_is_told_without_the_truth(rng):
     first, second = (truth + noise * rng.normal(size=shape) for _ in range(2))
     filtered = [truth + off + left * rng.normal(size=shape) for _ in range(2)]
     variance = np.full(shape, noise**2)
-    told = nfor._error(first, second, filtered, variance).mean()
+    told = nfor.estimated_error(first, second, filtered, variance).mean()
     assert told == pytest.approx(((np.mean(filtered, axis=0) - truth) ** 2).mean(), rel=0.03)
 
 

@@ -130,8 +130,7 @@ def grid_maps(features: np.ndarray, maps: np.ndarray, spec: ModelSpec) -> Maps:
     spec
         The model's.
     """
-    assert isinstance(spec.decoder, BilateralGrids)
-    count, rest = spec.decoder.grids, np.ones(maps.shape[1:])
+    count, rest = (len(maps) + 1) // 2, np.ones(maps.shape[1:])
     bounded = np.clip(maps, 0, 1).astype(np.float64)
     found = {f"guide {scale}": bounded[scale] for scale in range(count)}
     found["mean of features"] = changes(spec)["mean of features as guides"](features, maps)[0]

@@ -53,7 +53,7 @@ def measure(model: str, folder: Path, deviations: Sequence[float], samples: int)
     info = find_model(model)
     found: dict[tuple[str, float], list[dict[str, float]]] = {}
     with Denoiser(info) as plain:
-        for title, temporal, frames, reference in _runs(folder, samples):
+        for title, temporal, frames, reference in runs(folder, samples):
             for kept in (0.0, *deviations):
                 other = dataclasses.replace(info, spec=removing(info.spec, kept))
                 with Denoiser(other, engine=plain.engine, temporal=temporal) as stream:
@@ -68,7 +68,7 @@ def measure(model: str, folder: Path, deviations: Sequence[float], samples: int)
     return scores
 
 
-def _runs(folder: Path, samples: int) -> Iterator[tuple[str, bool, list[Frame], np.ndarray]]:
+def runs(folder: Path, samples: int) -> Iterator[tuple[str, bool, list[Frame], np.ndarray]]:
     """Title, whether frames have a past, the frames, and what the last should be."""
     for case in find_cases(folder, kinds=("stills", "sequences"), counts=(samples,)):
         frames, references = case.read()

@@ -228,7 +228,7 @@ def nfor(
             for image, guide in ((first, second), (second, first))
         ]
         pairs.append(pair)
-        errors.append(_error(first, second, pair, variance))
+        errors.append(estimated_error(first, second, pair, variance))
     mean = (first + second) / 2
 
     def smoothed(image: np.ndarray) -> np.ndarray:
@@ -248,7 +248,7 @@ def _variance_of_half(first: np.ndarray, second: np.ndarray, patch: int) -> np.n
     return np.dstack([_box_mean(plane, patch) for plane in np.moveaxis(squares, -1, 0)])
 
 
-def _error(
+def estimated_error(
     first: np.ndarray, second: np.ndarray, filtered: list[np.ndarray], variance: np.ndarray
 ) -> np.ndarray:
     """Mean squared error of the mean of both filtered halves, noisy (section 5.3).
