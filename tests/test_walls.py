@@ -170,6 +170,7 @@ NARROWED_IN_TRAINING = {
     "stillray_training.ablation.variants._multi_resolution": _A_STUDY,
     "stillray_training.ablation.variants._of_one_layer": _A_STUDY,
     "stillray_training.ablation.variants._with": _A_STUDY,
+    "stillray_training.ablation.variants._with_input": _A_STUDY,
     "stillray_training.families._fused": _A_DECODER,
     "stillray_training.families._grids": _A_DECODER,
     "stillray_training.families._multires": _A_DECODER,

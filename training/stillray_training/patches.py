@@ -123,10 +123,10 @@ class PatchSampler:
         normal: np.ndarray | None = turn(example.normal[window]).astype(np.float32)
         normal = normal @ _random_rotation(rng)
         depth: np.ndarray | None = turn(example.depth[window])
-        demodulation: np.ndarray | None = turn(example.demodulation_albedo[window])[..., order]
+        by = turn(example.demodulation_albedo[window])[..., order].astype(np.float32)
+        demodulation: np.ndarray | None = by
         if rng.random() < recipe.drop_feature:
             # no albedo: what is filtered is radiance
-            by = demodulation.astype(np.float32)
             mean[..., :3] *= by
             sample[..., :3] *= by
             remodulation, albedo, demodulation = np.ones_like(by), None, None

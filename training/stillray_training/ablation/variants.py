@@ -311,7 +311,9 @@ def _without_branches(variant: Variant) -> Variant:
 
 
 def _with_input(variant: Variant, name: str, features: tuple[str, ...]) -> Variant:
-    network = dataclasses.replace(variant.spec.network, features=features)
+    network = variant.spec.network
+    assert isinstance(network, ImportanceNetwork)
+    network = dataclasses.replace(network, features=features)
     spec = dataclasses.replace(variant.spec, name=name, network=network)
     return dataclasses.replace(variant, spec=spec)
 

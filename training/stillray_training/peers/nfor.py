@@ -283,11 +283,11 @@ class Nfor:
         """
         if frame.color_b is None:
             raise InputError("frame must have color_b, a second half of its samples, for nfor")
-        halves = [
+        first, second = (
             np.minimum(repair_radiance(color)[0].astype(np.float64), _MAX_RADIANCE)
             for color in (frame.color, frame.color_b)
-        ]
-        image = nfor(*halves, features_of(frame), self._options)
+        )
+        image = nfor(first, second, features_of(frame), self._options)
         return np.maximum(image, 0).astype(np.float32)
 
 
