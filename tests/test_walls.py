@@ -168,7 +168,9 @@ _A_STUDY = "of one family, whose options it changes or prints"
 #: Functions of training that look all the same, and why.
 NARROWED_IN_TRAINING = {
     "stillray_training.ablation.variants._multi_resolution": _A_STUDY,
+    "stillray_training.ablation.variants._of_one_layer": _A_STUDY,
     "stillray_training.ablation.variants._with": _A_STUDY,
+    "stillray_training.ablation.variants._with_input": _A_STUDY,
     "stillray_training.families._fused": _A_DECODER,
     "stillray_training.families._grids": _A_DECODER,
     "stillray_training.families._multires": _A_DECODER,
@@ -176,9 +178,12 @@ NARROWED_IN_TRAINING = {
     "stillray_training.grid_study.changes": _A_STUDY,
     "stillray_training.grid_study.main": _A_STUDY,
     "stillray_training.grid_study.times": _A_STUDY,
+    "stillray_training.network_maps.maps_of": "tells families apart by what they say",
     "stillray_training.networks.multi_branch.multi_branch_net": _A_NETWORK,
     "stillray_training.networks.pyramid.kernel_pyramid_net": _A_NETWORK,
     "stillray_training.networks.pyramid.multi_resolution_net": _A_NETWORK,
+    "stillray_training.peers.fused_prediction._decode": _A_DECODER,
+    "stillray_training.peers.fused_prediction._network": _A_NETWORK,
     "stillray_training.peers.kernel_prediction.options_of": "a peer's options, of its model's",
     "stillray_training.peers.multi_resolution_prediction._decode": _A_DECODER,
     "stillray_training.peers.multi_resolution_prediction._network": _A_NETWORK,

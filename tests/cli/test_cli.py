@@ -316,8 +316,17 @@ def test_models_verbose_tells_what_each_does_otherwise_than_its_paper(flag, caps
     for model in stillray.list_models():
         _, _, told = text.partition(f"\n{model.name}: ")
         lines = told.split("\n\n")[0].splitlines()
-        assert lines[2:] == [f"- {difference}" for difference in load(model.name).differs]
-        assert len(lines) > 4
+        assert lines[3:] == [f"- {difference}" for difference in load(model.name).differs]
+        assert len(lines) > 5
+
+
+def test_models_verbose_tells_what_each_network_computes(capsys):
+    assert main(["models", "-v"]) == 0
+    told = capsys.readouterr().out.partition("\nwskp-6: ")[2].splitlines()[1]
+    # six convolutions of 5x5, a multiply-add each, over 12, 16 (five times) and 12 planes
+    weights = 25 * (12 * 16 + 4 * 16 * 16 + 16 * 12)
+    gflop = 2 * weights * 1280 * 720 / 1e9
+    assert told == f"Its network: {gflop:.1f} GFLOP for 1280x720 pixels."
 
 
 def test_models_are_listed_without_their_differences_unless_asked(capsys):

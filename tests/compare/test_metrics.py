@@ -38,6 +38,23 @@ def test_psnr_and_smape_are_their_definitions(reference):
     assert values["smape"] == pytest.approx(expected, rel=1e-3)
 
 
+def test_rmse_is_of_displayed_pictures_and_measured_when_named(reference):
+    # Fan et al. 2021, table 1 and supplement table 2, Classroom: 32.827 dB and 0.0229
+    assert -20 * np.log10(0.0229) == pytest.approx(32.827, abs=0.03)
+    image = reference * np.float32(1.1)
+    values = metrics.evaluate([image], [reference], names=["psnr", "rmse"])
+    assert list(values) == ["psnr", "rmse"]
+    assert values["psnr"] == pytest.approx(-20 * np.log10(values["rmse"]), abs=1e-4)
+    # over pixels and channels: twice as bright a tenth of the picture, of range 1
+    flat = np.full((20, 30, 3), 0.2, np.float32)
+    other = flat.copy()
+    other[:2] *= 2
+    expected = np.sqrt(0.1) * (0.4 ** (1 / 2.2) - 0.2 ** (1 / 2.2))
+    found = metrics.evaluate([other], [flat], names=["rmse"])["rmse"]
+    assert found == pytest.approx(expected, rel=1e-6)
+    assert "rmse" not in metrics.evaluate([image], [reference])
+
+
 def test_the_last_of_several_frames_counts(reference):
     worse = reference * np.float32(1.5)
     alone = metrics.evaluate([reference * np.float32(1.1)], [reference])

@@ -99,6 +99,30 @@ def test_every_feature_lands_in_the_plane_of_its_name(spec, rng):
     np.testing.assert_allclose(out, expected, rtol=1e-5)
 
 
+def test_the_paper_s_planes_are_displayed_radiance_and_normals_from_0_to_1(spec, rng):
+    mean = rng.lognormal(0, 1, (6, 7, 4)).astype(np.float32)
+    mean[2, 3, :3] = 1e30  # white
+    mean[1, 1, :3] = 0
+    by = rng.uniform(0.1, 1, (6, 7, 3)).astype(np.float32)
+    normal = rng.uniform(-1, 1, (6, 7, 3)).astype(np.float32)
+    asked = ("ldr.b", "scaled_normal.y", "ldr.r")
+    out = np.full((3, 6, 7), np.nan, np.float32)
+    given = encode.FeatureInputs(
+        mean=mean, local=mean[..., 0], exposure=0.3, sample=mean[..., 0], normal=normal,
+        demodulation_albedo=by,
+    )  # fmt: skip
+    encode.feature_planes(given, spec.temporal, asked, out=out)
+    # exposed to where a display is: twice what brings irradiance to a quarter
+    shown = np.clip(mean[..., :3].astype(np.float64) * by * 0.3 * 2, 0, 1) ** (1 / 2.2)
+    expected = [shown[..., 2], (normal[..., 1] + 1) / 2, shown[..., 0]]
+    np.testing.assert_allclose(out, expected, rtol=1e-5)
+    bare = encode.FeatureInputs(mean=mean, local=mean[..., 0], exposure=0.3, sample=mean[..., 0])
+    encode.feature_planes(bare, spec.temporal, asked, out=out)
+    shown = np.clip(mean[..., :3].astype(np.float64) * 0.3 * 2, 0, 1) ** (1 / 2.2)
+    np.testing.assert_allclose(out[2], shown[..., 0], rtol=1e-5)
+    assert (out[1] == 0.5).all()
+
+
 def test_previous_planes_are_toned_irradiance_of_the_last_output(rng):
     names = ("previous.luminance", "previous.r", "previous.g", "previous.b", "previous.valid")
     previous = rng.lognormal(0, 1, (5, 7, 4)).astype(np.float32)

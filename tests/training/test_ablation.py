@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from stillray.model_spec import load  # noqa: E402
 from stillray.model_spec.loader import FusedKernels, ImportanceNetwork, PyramidNetwork  # noqa: E402
 from stillray.stages.prepare import prepare  # noqa: E402
 from stillray_training.ablation import __main__ as command  # noqa: E402
-from stillray_training.ablation import claims, measure, results, variants  # noqa: E402
+from stillray_training.ablation import claims, measure, results, study, variants  # noqa: E402
 from stillray_training.ablation.page import write_page  # noqa: E402
 from stillray_training.ablation.study import folder_of  # noqa: E402
 from stillray_training.checkpoint import CHECKPOINT  # noqa: E402
@@ -40,9 +41,8 @@ def tiny(name, steps=20):
         network = dataclasses.replace(variant.spec.network, widths=(4, 4, 4))
     else:
         network = dataclasses.replace(variant.spec.network, widths=(4,), kernel_sizes=(5, 5))
-    decoder = dataclasses.replace(
-        variant.spec.decoder, kernel_sizes=variant.spec.decoder.kernel_sizes[:1]
-    )
+    sizes = (3, 5) if name == "KP-fusion" else variant.spec.decoder.kernel_sizes[:1]
+    decoder = dataclasses.replace(variant.spec.decoder, kernel_sizes=sizes)
     spec = dataclasses.replace(variant.spec, training=recipe, network=network, decoder=decoder)
     return dataclasses.replace(variant, spec=spec)
 
@@ -61,9 +61,11 @@ def test_variants_differ_in_what_is_compared_and_in_nothing_else():
         spec = variant.spec
         for table in ("inputs", "demodulate", "transfer", "temporal"):
             assert getattr(spec, table) == getattr(base, table), name
-        assert spec.network.features == base.network.features
-        seed = base.training.seed + (name == variants.OTHER_SEED)
-        assert spec.training == dataclasses.replace(base.training, seed=seed), name
+        if name != variants.PAPER_INPUT:
+            assert spec.network.features == base.network.features
+        stills = {"still_share": 1.0, "quiet_share": 0.0} if variant.stills else {}
+        assert spec.training == dataclasses.replace(base.training, **stills), name
+        assert variant.stills == name.endswith(", 64 samples")
         assert spec.training.patch % kernels_of(spec).looks.alignment == 0, name
 
 
@@ -73,6 +75,9 @@ def test_variants_differ_in_what_is_compared_and_in_nothing_else():
         ("wskp-6", 6, (3, 5, 7, 9, 11, 13)), ("wskp-3", 3, (3, 5, 7, 9, 11, 13)), ("KP", 6, (13,)),
         ("KP-1", 2, (13,)), ("KP-2", 5, (7,)), ("3 fused kernels", 6, (3, 5, 7)),
         ("one 11x11 kernel", 6, (11,)), ("6 kernels of 13x13", 6, (13,) * 6),
+        ("KP, no branches", 6, (13,)), ("KP-fusion", 6, (3, 5, 7, 9, 11, 13)),
+        ("8 fused kernels", 6, tuple(range(3, 18, 2))),
+        ("10 fused kernels", 6, tuple(range(3, 22, 2))),
     ],
 )  # fmt: skip
 def test_variants_are_those_of_the_paper(name, blocks, sizes):
@@ -83,7 +88,12 @@ def test_variants_are_those_of_the_paper(name, blocks, sizes):
     assert spec.decoder.kernel_sizes == sizes
     network = STUDY[name].family.network(spec)
     outputs = network(torch.zeros(1, len(spec.network.features), 3, 4)).shape[1]
-    assert outputs == (sizes[0] ** 2 if name.startswith("KP") else 2 * len(sizes))
+    # a weight of each kernel, and a share of each where there are several
+    predicted = sum(size**2 for size in sizes) + (len(sizes) if len(sizes) > 1 else 0)
+    assert outputs == (predicted if name.startswith("KP") else 2 * len(sizes))
+    plain = name.endswith("no branches")
+    assert spec.network.branches == ((5,) if plain else (5, 3, 1))
+    assert spec.network.identity != plain
 
 
 @pytest.mark.parametrize(
@@ -96,6 +106,28 @@ def test_multi_resolution_variants_differ_in_their_kernels_alone(name, sizes, pl
     network = variant.family.network(variant.spec)
     logits = network(torch.zeros(1, len(ours.network.features), 8, 12))
     assert [level.shape[1] for level in logits] == planes
+
+
+def test_mr_kp_of_one_layer_has_a_convolution_and_a_head_a_level():
+    variant = STUDY[variants.ONE_LAYER]
+    network = variant.family.network(variant.spec)
+    # into each level, up from each coarser one, and a head a level
+    assert sum(isinstance(one, torch.nn.Conv2d) for one in network.modules()) == 3 + 2 + 3
+    logits = network(torch.zeros(1, len(variant.spec.network.features), 8, 12))
+    assert [level.shape[1] for level in logits] == [26, 26, 25]
+
+
+def test_seeds_are_told_apart_by_their_numbers_and_folders_alone():
+    twice = variants.study(seeds=2, steps=7)
+    once = variants.study(steps=7)
+    first, second = twice[: len(once)], twice[len(once) :]
+    assert first == once
+    assert len({folder_of(one, Path()) for one in twice}) == len(twice)
+    for one, other in zip(first, second, strict=True):
+        assert (one.name, one.seed, other.seed) == (other.name, 1, 2)
+        assert one.spec.training.steps == 7
+        recipe = dataclasses.replace(one.spec.training, seed=one.spec.training.seed + 1)
+        assert other.spec == dataclasses.replace(one.spec, training=recipe)
 
 
 def test_what_tables_and_claims_name_is_in_the_study():
@@ -157,42 +189,103 @@ def test_predicted_kernels_without_preference_are_a_box_over_accumulated_light(t
 
 
 def test_one_command_trains_scores_times_and_reports(tmp_path, monkeypatch):
-    small = [tiny("wskp-6"), tiny("MR-KP")]
-    monkeypatch.setattr(command, "study", lambda: small)
+    def small(seeds=1, steps=20):
+        once = [tiny("wskp-6", steps), tiny("KP-fusion", steps)]
+        return [one.with_seed(seed) for seed in range(1, seeds + 1) for one in once]
+
+    monkeypatch.setattr(command, "study", small)
     out, report = tmp_path / "out", tmp_path / "page.md"
-    steps = {"out": out, "data": [DATA], "validation": DATA, "height": 20, "width": 30}
-    command.main(**steps, rounds=2, report=report, pictures=tmp_path / "pictures")
+    given = {"out": out, "data": [DATA], "validation": DATA, "height": 20, "width": 30}
+    given |= {"seeds": 2, "steps": 20, "only": ["wskp-6"]}
+    command.main(**given, rounds=2, report=report, pictures=tmp_path / "pictures")
     page = report.read_text()
-    assert "| wskp-6 | " in page
-    assert "| MR-KP | " in page
+    assert re.search(r"\| wskp-6 \| [\d.]+ ± [\d.]+ \| ", page)
     assert "Accumulation on and off" in page
-    assert len(list((tmp_path / "pictures").glob("room-*.png"))) == 3
-    found = results.read_results(small, out)
+    assert "2 seeds each" in page
+    assert "KP-fusion" not in page
+    # of the first seed, with accumulation and without
+    assert len(list((tmp_path / "pictures").glob("room-*.png"))) == 2
+    given["only"] = None
+    command.main(**given, rounds=2, report=report)
+    found = results.read_results(small(2), out)
     assert found.size == (20, 30)
-    assert set(found.mean("MR-KP")) == set(found.mean("wskp-6")) <= set(measure.METRICS)
-    assert set(found.milliseconds["MR-KP"]) == {"network", "reconstruct", "both"}
+    assert set(found.mean("KP-fusion")) == set(found.mean("wskp-6")) <= set(measure.METRICS)
+    assert found.mean("wskp-6")["psnr"].seeds == 2
+    assert found.mean("wskp-6")["psnr"].deviation > 0
+    assert set(found.milliseconds["KP-fusion"]) == {"network", "reconstruct", "both"}
     assert found.ratios["wskp-6"] == {"network": 1, "reconstruct": 1, "both": 1}
     # what is done is not done again
-    files = [folder_of(one, out) / name for one in small for name in (CHECKPOINT, measure.SCORES)]
+    files = [
+        folder_of(one, out) / name for one in small(2) for name in (CHECKPOINT, measure.SCORES)
+    ]
     before = [path.stat().st_mtime_ns for path in files]
-    command.main(**steps)
+    command.main(**given)
     assert [path.stat().st_mtime_ns for path in files] == before
     # other weights are scored anew
-    small[0] = tiny("wskp-6", steps=40)
+    given["steps"] = 40
     with pytest.raises(InputError, match="study as it is now"):
-        command.main(**steps)
-    (folder_of(small[0], out) / CHECKPOINT).unlink()
-    command.main(**steps)
+        command.main(**given)
+    (folder_of(small()[0], out) / CHECKPOINT).unlink()
+    command.main(**given | {"seeds": 1, "only": ["wskp-6"]})
     after = [path.stat().st_mtime_ns for path in files]
-    changed = [True, True, False, False]
+    changed = [True, True] + [False] * 6
     assert [old != new for old, new in zip(before, after, strict=True)] == changed
+    with pytest.raises(InputError, match="only must be one of wskp-6; KP-fusion, got KP"):
+        command.main(**given | {"only": ["KP"]})
+
+
+def test_many_samples_are_scored_on_stills_without_a_past(monkeypatch):
+    seen = []
+
+    class Stream:
+        temporal = False
+
+        class model:  # noqa: N801
+            name = "KP, 64 samples"
+
+        def reset(self):
+            pass
+
+        def denoise(self, frame):
+            seen.append(frame)
+            return frame.color
+
+    frame = make_frame(16, 20)
+
+    class Case:
+        name = "room"
+
+        def read(self):
+            return [frame], [frame.color]
+
+    asked = {}
+
+    def cases(folder, **given):
+        asked.update(given)
+        return [Case()]
+
+    monkeypatch.setattr(measure, "find_cases", cases)
+    scores = measure.score_stills(Stream(), Path())
+    assert asked == {"kinds": ("stills",), "counts": (64,)}
+    assert seen == [frame]
+    assert scores["room"]["psnr"] == np.inf
+
+
+def test_many_samples_need_data_that_has_them(tmp_path, monkeypatch):
+    monkeypatch.setattr(study, "load_all", lambda *given: [])
+    with pytest.raises(InputError, match="several blocks of samples"):
+        study.train_all([STUDY["wskp-mr, 64 samples"]], [DATA], tmp_path)
 
 
 def found(scores, times=None):
-    """Results of one scene and one part."""
+    """Results of one scene and one part; scores are of one seed, or a list of several."""
     times = times or {}
+    scores = {name: psnr if isinstance(psnr, list) else [psnr] for name, psnr in scores.items()}
     return results.Results(
-        scores={name: {"room": {"psnr": psnr}} for name, psnr in scores.items()},
+        scores={
+            name: {seed: {"room": {"psnr": value}} for seed, value in enumerate(psnr, start=1)}
+            for name, psnr in scores.items()
+        },
         one_frame={},
         losses=dict.fromkeys(scores, 0.1),
         milliseconds={
@@ -207,24 +300,49 @@ def found(scores, times=None):
 
 
 @pytest.mark.parametrize(
-    ("paper", "here", "said"),
+    ("paper", "here", "apart", "said"),
     [
-        (-0.7, -0.4, "holds"),
-        (-0.7, 0.4, "does not hold"),
-        (-0.7, -0.05, "another seed changes as much"),
-        (None, 0.4, "holds"),
-        (None, -0.4, "does not hold"),
-        (-0.01, 0.15, "holds"),
-        (-0.01, 0.4, "does not hold"),
-        (-0.01, -0.4, "does not hold"),
+        (-0.7, -0.4, 0.1, "holds"),
+        (-0.7, 0.4, 0.1, "does not hold"),
+        (-0.7, -0.05, 0.1, "seeds differ as much"),
+        (None, 0.4, 0.1, "holds"),
+        (None, -0.4, 0.1, "does not hold"),
+        (-0.01, 0.1, 0.03, "holds"),
+        (-0.01, 0.1, 0.1, "seeds differ as much"),
+        (-0.01, 0.4, 0.05, "does not hold"),
+        (-0.01, -0.4, 0.05, "does not hold"),
     ],
 )
-def test_a_finding_holds_when_ours_has_its_sign_and_is_more_than_noise(paper, here, said):
+def test_a_finding_holds_when_seeds_leave_no_other(paper, here, apart, said):
     claim = claims.Claim(text="", of="KP", to="wskp-6", paper=paper)
-    ours = found({"KP": 30 + here, "wskp-6": 30.0, variants.OTHER_SEED: 30.1})
-    noise = claims.spread(ours)
-    assert noise == pytest.approx(0.1)
-    assert claims.verdict(claim, claims.measured(claim, ours), noise) == said
+    # three seeds, whose levels differ by far more than their differences do
+    levels = [29.0, 30.0, 31.5]
+    ours = found(
+        {"wskp-6": levels, "KP": [levels[index] + here + apart * (index - 1) for index in range(3)]}
+    )
+    value = claims.measured(claim, ours)
+    assert value.mean == pytest.approx(here)
+    assert value.deviation == pytest.approx(apart)
+    # Student's t of two degrees of freedom, 95 %: 4.303 standard errors
+    assert claims.uncertainty(value) == pytest.approx(4.303 * apart / 3**0.5, rel=1e-3)
+    assert claims.verdict(claim, value) == said
+
+
+def test_of_one_seed_nothing_is_concluded():
+    claim = claims.Claim(text="", of="KP", to="wskp-6", paper=-0.7)
+    ours = found({"wskp-6": 30.0, "KP": 25.0})
+    assert claims.verdict(claim, claims.measured(claim, ours)) == "one seed alone"
+    # seeds are compared with themselves: of what only one has, none is
+    ours = found({"wskp-6": [30.0, 31.0], "KP": [29.0]})
+    assert claims.measured(claim, ours).mean == pytest.approx(-1)
+
+
+def test_quantiles_are_those_of_student():
+    stats = pytest.importorskip("scipy.stats")
+    for seeds in range(2, claims.MOST_SEEDS + 1):
+        value = results.Value(mean=0.0, deviation=seeds**0.5, seeds=seeds)
+        expected = stats.t.ppf(0.975, seeds - 1)
+        assert claims.uncertainty(value) == pytest.approx(expected, abs=0.006)
 
 
 @pytest.mark.parametrize(
@@ -233,17 +351,21 @@ def test_a_finding_holds_when_ours_has_its_sign_and_is_more_than_noise(paper, he
 def test_times_hold_when_their_ratio_is_near(here, said):
     claim = claims.Claim(text="", of="KP", to="wskp-6", paper=0.46, times=True)
     ours = found({}, {"KP": here * 2, "wskp-6": 2.0})
-    assert claims.verdict(claim, claims.measured(claim, ours), 0.1) == said
+    assert claims.verdict(claim, claims.measured(claim, ours)) == said
 
 
 def test_the_page_says_what_is_missing(tmp_path):
-    ours = found({"wskp-6": 25.0, "wskp-3": 24.0}, {"wskp-6": 1.0})
-    write_page(variants.study(), ours, tmp_path / "page.md", "the command")
+    three = {"wskp-6": [25.0, 25.2, 25.1], "wskp-3": [24.0, 24.1, 24.2]}
+    ours = found(three, {"wskp-6": 1.0})
+    write_page(variants.study(seeds=4), ours, tmp_path / "page.md", "the command")
     page = (tmp_path / "page.md").read_text()
     missing = next(line for line in page.splitlines() if line.startswith("Not finished"))
-    assert "KP-1" in missing
-    assert "wskp-3" not in missing
-    assert "| wskp-3 is below wskp-6 (table 1) | -0.69 | -1.00 | 0 of 1 | holds |" in page
+    assert "KP-1 (4 of 4 seeds)" in missing
+    assert "wskp-3 (1 of 4 seeds)" in missing
+    # differences -1.0, -1.1 and -0.9: a deviation of 0.1
+    row = "| wskp-3 is below wskp-6 (table 1) | -0.69 | -1.00 ± 0.25 | 0 of 1 | holds |"
+    assert row in page
+    assert "| wskp-3 | 24.10 ± 0.10 |" in page
     assert "KP-1 is below" not in page
     assert "One kernel" not in page
     assert "About 7 programs" in page
@@ -256,7 +378,7 @@ def test_the_page_shows_numbers_of_kernels_once_there_are_two(tmp_path):
     page = (tmp_path / "page.md").read_text()
     assert "page.png" in page
     assert (tmp_path / "page.png").stat().st_size > 1000
-    assert "six fused kernels are above one of 3x3 (figure 9) |  | +1.00 | 1 of 1 | holds |" in page
+    assert "are above one of 3x3 (figure 9) |  | +1.00 | 1 of 1 | one seed alone |" in page
     assert "abacus, 2 threads" in page
 
 

@@ -12,6 +12,7 @@ from stillray_training.losses import (
     displayed,
     dissimilarity,
     excess,
+    filmic,
     slope_error,
     smape,
     unsteadiness,
@@ -35,6 +36,17 @@ def test_a_display_clips_and_opens_the_dark():
     # white is an exposed half
     expected = [1e-3 ** (1 / 2.2), (0.2 + 1e-3) ** (1 / 2.2), *[1.001 ** (1 / 2.2)] * 2]
     np.testing.assert_allclose(shown, expected, rtol=1e-6)
+
+
+def test_the_filmic_curve_is_its_formula_and_stays_below_white():
+    exposed = torch.tensor([0.0, 0.001, 0.05, 0.5, 2.0, 1e30], dtype=torch.float32)
+    x = np.maximum(2 * exposed.double().numpy() - 0.004, 0)
+    x = np.minimum(x, 1e6)
+    expected = x * (6.2 * x + 0.5) / (x * (6.2 * x + 1.7) + 0.06)
+    np.testing.assert_allclose(filmic(exposed), expected, rtol=1e-5)
+    # 0.18, a middle gray, is shown at a half, as displays have it
+    assert float(filmic(torch.tensor(0.09))) == pytest.approx(0.508, abs=1e-3)
+    assert float(filmic(exposed).max()) <= 1
 
 
 def test_dissimilarity_is_one_minus_the_structural_similarity_of_the_mean_channel():

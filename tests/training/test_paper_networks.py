@@ -71,6 +71,63 @@ def test_predicting_kernels_takes_169_outputs_and_nearly_three_times_the_weights
     assert 2.5 < weights(peer) / weights(ours) < 3
 
 
+def test_fused_predictions_take_a_kernel_of_each_size_and_its_share():
+    # supplement 2.3: KP with the kernel fusion module, 3x3 to 13x13
+    fusion = STUDY["KP-fusion"]
+    made = fuse(fusion.family.network(fusion.spec))
+    outputs = sum(size**2 for size in (3, 5, 7, 9, 11, 13)) + 6
+    assert [count for count, _, _ in convolutions(made)] == [16] * 5 + [outputs]
+
+
+def test_without_branches_the_convolutions_are_those_that_run():
+    # table 5, "w/o": plain 5x5 convolutions, of as many weights as the fused ones
+    for name in ("wskp-6", "KP"):
+        plain, branched = STUDY[f"{name}, no branches"], STUDY[name]
+        made = plain.family.network(plain.spec)
+        fused = fuse(branched.family.network(branched.spec))
+        assert [one.kernel_size[0] for b in blocks(made) for one in b.branches()] == [5] * 6
+        assert not any(block.identity for block in blocks(made))
+        assert weights(made) == weights(fused)
+
+
+def test_kp_1_and_kp_2_are_the_paper_s_smaller_predictors():
+    # table 6: two layers and 13x13, five layers and 7x7
+    for name, layers, size in (("KP-1", 2, 13), ("KP-2", 5, 7)):
+        made = fuse(STUDY[name].family.network(STUDY[name].spec))
+        assert [count for count, _, _ in convolutions(made)] == [16] * (layers - 1) + [size**2]
+
+
+def test_the_paper_s_input_has_ten_planes():
+    # section 5.1: displayed color with albedo, albedo, normal and depth
+    spec = STUDY["wskp-6, the paper's input"].spec
+    assert len(spec.network.features) == 10
+    made = FAMILIES[spec.family].network(spec)
+    assert convolutions(fuse(made))[0] == (16, 10, 5)
+    assert weights(fuse(network("wskp-6"))) - weights(fuse(made)) == 2 * 16 * 25
+
+
+def test_mr_kp_predicts_a_kernel_of_5x5_at_each_of_three_resolutions():
+    # section 6.1: the same U-Net; 25 weights a pixel, and what the coarser level is blended by
+    made = STUDY["MR-KP"].family.network(STUDY["MR-KP"].spec)
+    assert [head.out_channels for head in made.heads] == [26, 26, 25]
+    ours = network("wskp-mr")
+    assert weights(made.encode) == weights(ours.encode)
+    assert weights(made.decode) == weights(ours.decode)
+
+
+@pytest.mark.parametrize(
+    ("name", "grids", "spacing"), [("nbg-2x1", 1, 4), ("nbg-2x3", 3, 4), ("nbg-7x3", 3, 4)]
+)
+def test_grids_have_the_paper_s_resolutions(name, grids, spacing):
+    # Fan et al. 2021, figure 6: 320x180x64 to 80x45x16 of 1280x720, each half of the one before
+    decoder = load(name).decoder
+    assert (decoder.grids, decoder.spacing, decoder.depth_spacing) == (grids, spacing, 4)
+    finest, *coarser = (decoder.spacing << scale for scale in range(decoder.grids))
+    assert (1280 // finest, 720 // finest, round(255 / decoder.depth_spacing)) == (320, 180, 64)
+    if coarser:
+        assert (1280 // coarser[-1], 720 // coarser[-1]) == (80, 45)
+
+
 def test_wskp_3_is_three_such_blocks_and_as_they_are_in_the_study():
     # section 4.1 and supplement 1.1: half of the layers, the rest as wskp-6
     made, study = network("wskp-3"), STUDY["wskp-3"].family.network(STUDY["wskp-3"].spec)

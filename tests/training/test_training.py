@@ -30,7 +30,9 @@ from stillray_training.losses import (  # noqa: E402
     blur_error,
     displayed,
     dissimilarity,
+    filmic,
     slope_error,
+    smape,
 )
 from stillray_training.networks.repvgg import without_branches  # noqa: E402
 from stillray_training.patches import PatchSampler  # noqa: E402
@@ -237,7 +239,15 @@ def test_training_lowers_the_loss_and_resumes_where_it_stopped(data, small, tmp_
 
 @pytest.mark.parametrize(
     "key",
-    ["display_weight", "squared_weight", "structure_weight", "slope_weight", "blur_weight"],
+    [
+        "display_weight",
+        "squared_weight",
+        "structure_weight",
+        "slope_weight",
+        "blur_weight",
+        "smape_weight",
+        "filmic_weight",
+    ],
 )
 def test_a_weight_adds_its_part_of_the_loss(data, small, key):
     network = FAMILIES[small.family].network(small)
@@ -254,14 +264,17 @@ def test_a_weight_adds_its_part_of_the_loss(data, small, key):
         field.name: torch.from_numpy(getattr(batch, field.name))
         for field in dataclasses.fields(batch)
     }
-    shown = displayed(FAMILIES[small.family].radiance(outputs, take, small) * exposed)
-    wanted = displayed(torch.from_numpy(batch.reference) * exposed)
+    image = FAMILIES[small.family].radiance(outputs, take, small) * exposed
+    reference = torch.from_numpy(batch.reference) * exposed
+    shown, wanted = displayed(image), displayed(reference)
     part = {
         "display_weight": (shown - wanted).abs().mean(),
         "squared_weight": ((shown - wanted) ** 2).mean(),
         "structure_weight": dissimilarity(shown, wanted),
         "slope_weight": slope_error(shown - wanted),
         "blur_weight": blur_error(shown - wanted),
+        "smape_weight": smape(image, reference, small.training.smape_epsilon),
+        "filmic_weight": (filmic(image) - filmic(reference)).abs().mean(),
     }[key]
     assert loss(3.0) - loss(0.0) == pytest.approx(3 * float(part.mean()), rel=1e-4)
 

@@ -6,11 +6,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from stillray.stages.features import DISPLAY_GAIN
+
 # Light below which the display curve is taken as straight: its slope at 0 would be infinite.
 _TOE = 1e-3
-# Exposed irradiance has its typical value at a quarter and surfaces reflect half of it: this
-# brings radiance to where `stillray.compare.display.display_exposure` puts it.
-_DISPLAY_GAIN = 2.0
 _WINDOW = 7  # pixels of a window of structural similarity
 _STRIDE = 4  # of the windows: they overlap, and a sixteenth of them says the same
 _C1, _C2 = 0.01**2, 0.03**2  # Wang et al. 2004: keep its ratios finite in even windows
@@ -38,7 +37,20 @@ def smape(image: Tensor, reference: Tensor, epsilon: float) -> Tensor:
 
 def displayed(exposed: Tensor) -> Tensor:
     """What a screen would show of exposed radiance: clipped, with a power of 1 / 2.2, in [0, 1]."""
-    return ((exposed * _DISPLAY_GAIN).clamp(0, 1) + _TOE) ** (1 / 2.2)
+    return ((exposed * DISPLAY_GAIN).clamp(0, 1) + _TOE) ** (1 / 2.2)
+
+
+def filmic(exposed: Tensor) -> Tensor:
+    """Exposed radiance after a filmic curve with its display gamma, in [0, 1).
+
+    The rational fit of Hejl and Burgess-Dawson (Hable 2010, *Filmic tonemapping operators*): the
+    curve that Tungsten calls filmic, and Meng et al. 2020 and Fan et al. 2021 show their 64-sample
+    data through.
+    """
+    light = (exposed * DISPLAY_GAIN - 0.004).clamp(min=0)
+    # both sides divided by the light's square, which would leave float32
+    light = light.clamp(max=1e6)
+    return light * (6.2 * light + 0.5) / (light * (6.2 * light + 1.7) + 0.06)
 
 
 def dissimilarity(shown: Tensor, wanted: Tensor) -> Tensor:

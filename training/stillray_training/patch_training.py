@@ -25,6 +25,7 @@ from stillray_training.losses import (
     displayed,
     dissimilarity,
     excess,
+    filmic,
     per_patch,
     slope_error,
     smape,
@@ -63,9 +64,12 @@ def reconstruct_loss(
     recipe = spec.training
     shown, wanted = displayed(image), displayed(reference)
     error = shown - wanted
-    loss = smape(image, reference, recipe.smape_epsilon)
+    loss = recipe.smape_weight * smape(image, reference, recipe.smape_epsilon)
     loss = loss + recipe.display_weight * per_patch(error.abs())
     loss = loss + recipe.squared_weight * per_patch(error.square())
+    if recipe.filmic_weight:
+        # Meng et al. 2020, eq. 14
+        loss = loss + recipe.filmic_weight * per_patch((filmic(image) - filmic(reference)).abs())
     if recipe.structure_weight:
         loss = loss + recipe.structure_weight * dissimilarity(shown, wanted)
     if recipe.slope_weight:

@@ -123,12 +123,13 @@ class PatchSampler:
         normal: np.ndarray | None = turn(example.normal[window]).astype(np.float32)
         normal = normal @ _random_rotation(rng)
         depth: np.ndarray | None = turn(example.depth[window])
+        by = turn(example.demodulation_albedo[window])[..., order].astype(np.float32)
+        demodulation: np.ndarray | None = by
         if rng.random() < recipe.drop_feature:
             # no albedo: what is filtered is radiance
-            demodulation = turn(example.demodulation_albedo[window])[..., order].astype(np.float32)
-            mean[..., :3] *= demodulation
-            sample[..., :3] *= demodulation
-            remodulation, albedo = np.ones_like(demodulation), None
+            mean[..., :3] *= by
+            sample[..., :3] *= by
+            remodulation, albedo, demodulation = np.ones_like(by), None, None
         if rng.random() < recipe.drop_feature:
             normal = None
         if rng.random() < recipe.drop_feature:
@@ -149,6 +150,7 @@ class PatchSampler:
             depth=depth,
             depth_unit=example.depth_unit,
             frame_samples=spp,
+            demodulation_albedo=demodulation,
         )
         encode.feature_planes(given, spec.temporal, spec.network.features, out=features)
         encode.previous_planes(

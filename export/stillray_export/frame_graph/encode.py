@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from stillray.errors import InputError
 from stillray.model_spec import ModelSpec
 from stillray_export.frame_graph.light import tone_map
 from stillray_training.decoders.luminance import luminance
@@ -46,7 +47,13 @@ class Prepared:
 
 
 def feature_planes(frame: Prepared, spec: ModelSpec) -> Tensor:
-    """The planes by the specification's names, ``(1, features, h, w)``."""
+    """The planes by the specification's names, ``(1, features, h, w)``.
+
+    Raises
+    ------
+    InputError
+        A frame graph has no such plane.
+    """
     planes = {
         **_of_light(frame),
         **_named("albedo", "rgb", frame.albedo),
@@ -56,6 +63,9 @@ def feature_planes(frame: Prepared, spec: ModelSpec) -> Tensor:
         "previous.valid": frame.valid,
         "samples": _samples(frame, spec),
     }
+    for name in spec.network.features:
+        if name not in planes:
+            raise InputError(f"network.features of a frame graph must not be {name}")
     return torch.cat([planes[name] for name in spec.network.features], 1)
 
 

@@ -129,13 +129,15 @@ class FrameGraph(nn.Module):
     Raises
     ------
     InputError
-        The model is of another family.
+        The model is of another family, or removes outliers.
     """
 
     def __init__(self, network: nn.Module, spec: ModelSpec) -> None:
         super().__init__()
         if not isinstance(spec.decoder, PyramidKernels):
             raise InputError(f"a frame graph is made of kernel pyramids, got a {spec.family} model")
+        if spec.temporal.outlier_deviations:
+            raise InputError("temporal.outlier_deviations must be 0 for a frame graph")
         self.network, self.spec, self.options = network, spec, spec.decoder
         self.multiple = kernels_of(spec).looks.alignment
 

@@ -10,12 +10,18 @@ import typer
 if TYPE_CHECKING:
     from stillray.models.registry import ModelInfo
 
+_WORK_SIZE = 1280, 720  # pixels
+
 
 def models(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     verbose: Annotated[
         bool,
-        typer.Option("-v", "--verbose", help="Also how each differs from the paper it follows."),
+        typer.Option(
+            "-v",
+            "--verbose",
+            help="Also what each network computes, and how it differs from the paper it follows.",
+        ),
     ] = False,
 ) -> None:
     """List the models: inputs, size and validation scores."""
@@ -77,6 +83,22 @@ def _print_differences(found: list[ModelInfo]) -> None:
     from stillray.models.registry import differences
 
     for model in found:
-        print(f"\n{model.name}: {model.summary}\nWhat the paper says, and what it does here:")
+        print(f"\n{model.name}: {model.summary}{_network_work(model)}")
+        print("What the paper says, and what it does here:")
         for difference in differences(model):
             print(f"- {difference}")
+
+
+def _network_work(model: ModelInfo) -> str:
+    """What a model's network computes for a frame, in a sentence; empty if nothing is known."""
+    import numpy as np
+
+    from stillray.frame import Frame
+    from stillray.profiling.cost import stage_costs
+
+    width, height = _WORK_SIZE
+    frame = Frame(color=np.zeros((height, width, 3), np.float32))
+    network = stage_costs(model, frame).get("network")
+    if network is None:
+        return ""
+    return f"\nIts network: {network.operations / 1e9:.1f} GFLOP for {width}x{height} pixels."

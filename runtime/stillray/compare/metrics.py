@@ -39,6 +39,7 @@ class Metric:
     package: str  # what to install for that
     higher_is_better: bool = False
     is_signed: bool = False  # 0 is best, and both directions are bad
+    when_named: bool = False  # measured where it is named alone: another says the same
 
     def loss(self, value: float) -> float:
         """The value turned so that less is better."""
@@ -65,6 +66,10 @@ METRICS = (
     Metric(
         name="ssim", title="SSIM ↑", format=".3f", module="skimage", package="scikit-image",
         higher_is_better=True,
+    ),
+    Metric(
+        name="rmse", title="RMSE ↓", format=".4f", module="numpy", package="numpy",
+        when_named=True,
     ),
     Metric(name="smape", title="SMAPE ↓", format=".4f", module="numpy", package="numpy"),
     Metric(name="relmse", title="relative MSE ↓", format=".3g", module="numpy", package="numpy"),
@@ -109,13 +114,14 @@ def evaluate(
         Scene-linear radiance of consecutive frames, one or more. Exposure is that of the last
         reference, and metrics of an image are those of the last one.
     names
-        Names out of `METRICS`; None for all.
+        Names out of `METRICS`; None for all but those that are measured when named.
 
     Returns
     -------
     dict
-        ``psnr`` in dB, ``ssim`` and ``cvvdp`` in JOD (higher is better), ``smape``, ``relmse``,
-        ``flip``, ``edge`` and ``flicker`` (lower is better), ``bias`` in percent (0 is best).
+        ``psnr`` in dB, ``ssim`` and ``cvvdp`` in JOD (higher is better), ``rmse``, ``smape``,
+        ``relmse``, ``flip``, ``edge`` and ``flicker`` (lower is better), ``bias`` in percent (0 is
+        best). ``rmse`` is of tone-mapped images, in [0, 1], so that ``psnr`` is -20 log10 of it.
         ``flicker`` takes two frames or more; ``cvvdp`` sees one as a still.
     """
     image, reference = images[-1], references[-1]
@@ -125,14 +131,13 @@ def evaluate(
     values = {
         "edge": edge_error(shown, wanted),
         "bias": brightness_bias(shown, wanted),
+        "rmse": float(np.sqrt(np.mean((shown.astype(np.float64) - wanted) ** 2))),
         "smape": float(np.mean(np.abs(a - b) / (np.abs(a) + np.abs(b) + SMAPE_EPSILON))),
         "relmse": float(np.mean((a - b) ** 2 / (b**2 + RELATIVE_MSE_EPSILON))),
     }
-    measured = {
-        metric.name
-        for metric in METRICS
-        if metric.is_installed and (names is None or metric.name in names)
-    }
+    if names is None:
+        names = [metric.name for metric in METRICS if not metric.when_named]
+    measured = {metric.name for metric in METRICS if metric.is_installed and metric.name in names}
     if measured & {"psnr", "ssim"}:
         from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 

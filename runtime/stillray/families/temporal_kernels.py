@@ -244,6 +244,7 @@ class TemporalKernels(ABC):
         planes = context.workspace.array("features", (1, len(names), *full))
         exposure, remodulation = prepared.history.exposure, prepared.remodulation_albedo
         albedo, normal, depth = prepared.albedo, prepared.normal, prepared.depth
+        by = prepared.demodulation_albedo
 
         def pack(rows: slice) -> None:
             target, workspace = planes[0, :, rows, :width], context.strips.workspace
@@ -258,6 +259,7 @@ class TemporalKernels(ABC):
                 depth_unit=prepared.depth_unit,
                 # to a network that has seen one sample a pixel alone, more look like a long past
                 frame_samples=prepared.counts.for_network if self.spec.knows_samples else 1.0,
+                demodulation_albedo=None if by is None else by[rows],
             )
             features.feature_planes(
                 given, self.spec.temporal, names, out=target, workspace=workspace

@@ -29,6 +29,9 @@ FEATURES = (
     "albedo.r", "albedo.g", "albedo.b", "albedo.luminance",
     "normal.x", "normal.y", "normal.z", "depth",
     "previous.r", "previous.g", "previous.b", "previous.luminance", "previous.valid",
+    # as Fan et al. 2021, section 5.1, have it: radiance with its albedo as displayed, normals in
+    # [0, 1]
+    "ldr.r", "ldr.g", "ldr.b", "scaled_normal.x", "scaled_normal.y", "scaled_normal.z",
     "pilot_a.r", "pilot_a.g", "pilot_a.b", "pilot_b.r", "pilot_b.g", "pilot_b.b",
 )  # fmt: skip
 #: What the network of a model that learns while it denoises is given, in this order.
@@ -129,6 +132,10 @@ class Temporal:
     # samples that the albedo's past counts as at most, where the result is multiplied by it, >= 0;
     # 0: by this frame's alone
     albedo_samples: float
+    # Standard deviations that a pixel may stand above the 3x3 pixels around it before it is given
+    # their median, >= 0; 0: nothing is removed. Models that were exported before it was known lack
+    # it.
+    outlier_deviations: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -440,11 +447,15 @@ class Training:
     weight_decay: float = 0.0  # decoupled, see `torch.optim.AdamW`; >= 0
     optimiser: str = "adam"  # one of OPTIMISERS
     albedo_weight: float = 0.0  # weight of the error of accumulated albedos, >= 0
+    smape_weight: float = 1.0  # weight of SMAPE itself, >= 0
+    # weight of the error after a filmic curve, which Meng et al. 2020 train by, >= 0
+    filmic_weight: float = 0.0
 
     def __post_init__(self) -> None:
         for key in (
             "display_weight", "squared_weight", "structure_weight", "steady_weight",
             "slope_weight", "blur_weight", "hinge_weight", "weight_decay", "albedo_weight",
+            "smape_weight", "filmic_weight",
         ):  # fmt: skip
             _within(f"training.{key}", getattr(self, key), 0, 1e3)
         for key in ("quiet_power", "average", "still_share", "quiet_share", "drop_feature"):
@@ -512,6 +523,7 @@ class ModelSpec:
         _within("temporal.normal_cosine", self.temporal.normal_cosine, -1, 1)
         _within("temporal.albedo_samples", self.temporal.albedo_samples, 0, 1e6)
         _within("temporal.depth_ratio", self.temporal.depth_ratio, 1e-6, 1e6)
+        _within("temporal.outlier_deviations", self.temporal.outlier_deviations, 0, 100)
 
     def to_json(self) -> str:
         """The spec as JSON text, as it is embedded in a model file."""

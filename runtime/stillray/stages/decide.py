@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from stillray.arrays.strips import Strips
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
+from stillray.stages.outliers import remove_outliers
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.repair import Buffers
 from stillray.stages.specular_motion import has_mirrors
@@ -104,6 +105,10 @@ def decide(
     if not whole:
         with timed(timings, "repair"):
             buffers = buffers.repaired(strips)
+    deviations = spec.temporal.outlier_deviations
+    if deviations:
+        with timed(timings, "remove_outliers"):
+            buffers = replace(buffers, color=remove_outliers(buffers.color, deviations, strips))
     found = past.leaves if isinstance(past, TemporalPlan) else None
     if isinstance(past, History):
         found = past.remembered
@@ -113,6 +118,7 @@ def decide(
         stages=(
             Stage("inspect", True, "values tell what a frame calls for"),
             Stage("repair", not whole, _REPAIR[whole]),
+            *([Stage("remove_outliers", True, _OUTLIERS)] if deviations else []),
             *facts.of_this_frame(),
             *facts.of_the_past(),
         ),
@@ -127,6 +133,7 @@ _REPAIR = {
     True: "every value is finite and in its range",
     False: "a value is NaN, infinite or out of its range, or a pixel has no samples",
 }
+_OUTLIERS = "the model asks for it"
 _REJECT = "what the past says is compared with this frame's samples"
 
 

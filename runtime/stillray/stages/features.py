@@ -18,6 +18,12 @@ _ALBEDO = ("albedo.r", "albedo.g", "albedo.b")
 _NORMAL = ("normal.x", "normal.y", "normal.z")
 _PREVIOUS = ("previous.r", "previous.g", "previous.b")
 _PREVIOUS_LUMINANCE, _PREVIOUS_VALID = "previous.luminance", "previous.valid"
+_LDR = ("ldr.r", "ldr.g", "ldr.b")
+_SCALED_NORMAL = ("scaled_normal.x", "scaled_normal.y", "scaled_normal.z")
+#: Exposed irradiance has its typical value at a quarter and surfaces reflect half of it: this
+#: brings radiance to where `stillray.compare.display.display_exposure` puts it.
+DISPLAY_GAIN = 2.0
+_GAMMA = 1 / 2.2
 _BLOCK = 8  # pixels: blocks whose means give the frame's typical irradiance
 
 
@@ -124,6 +130,8 @@ class FeatureInputs:
         See `depth_scale`.
     frame_samples : number or (h, w) float32
         Samples a pixel of a frame, > 0; 1 where nobody said.
+    demodulation_albedo : (h, w, 3) float32 or None
+        What radiance was divided by; None where ``mean`` is radiance.
     """
 
     mean: np.ndarray
@@ -135,6 +143,7 @@ class FeatureInputs:
     depth: np.ndarray | None = None
     depth_unit: float = 1.0
     frame_samples: float | np.ndarray = 1.0
+    demodulation_albedo: np.ndarray | None = None
 
 
 def feature_planes(
@@ -195,6 +204,27 @@ def feature_planes(
         else:
             np.add(depth, np.float32(given.depth_unit), out=target)
             np.divide(depth, target, out=target)
+    for channel, name in enumerate(_LDR):
+        if (target := plane.get(name)) is not None:
+            _displayed(irradiance[channel], channel, given, target)
+    for channel, name in enumerate(_SCALED_NORMAL):
+        if (target := plane.get(name)) is not None:
+            target[...] = 0 if given.normal is None else given.normal[..., channel]
+            target += 1
+            target /= 2
+
+
+def _displayed(light: np.ndarray, channel: int, given: FeatureInputs, out: np.ndarray) -> None:
+    """A channel of radiance as a screen would show it, in [0, 1] (Fan et al. 2021, section 5.1).
+
+    differs: exposed; the paper's scenes are all of one brightness.
+    """
+    with np.errstate(over="ignore"):
+        np.multiply(light, np.float32(given.exposure * DISPLAY_GAIN), out=out)
+    if given.demodulation_albedo is not None:
+        out *= given.demodulation_albedo[..., channel]
+    np.clip(out, 0, 1, out=out)
+    np.power(out, np.float32(_GAMMA), out=out)
 
 
 def previous_planes(

@@ -2,7 +2,8 @@
 
 Each option asks for one part, which takes up where it stopped: ``--data`` trains the variants,
 ``--validation`` scores those that are finished, ``--rounds`` times all, ``--report`` writes the
-page of what there is.
+page of what there is. ``--seeds 3`` trains each three times, and the page tells the spread;
+``--only`` chooses variants by name.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ import torch
 import typer
 
 from stillray.cli import program
+from stillray.errors import InputError
 from stillray.profiling.plot import require_drawable
+from stillray_training.ablation.claims import MOST_SEEDS
 from stillray_training.ablation.measure import score_all, time_all
 from stillray_training.ablation.page import write_page
 from stillray_training.ablation.results import read_results
 from stillray_training.ablation.study import train_all
-from stillray_training.ablation.variants import TIMED, study
+from stillray_training.ablation.variants import STEPS, TIMED, Variant, study
 
 
 def main(
@@ -33,6 +36,13 @@ def main(
     rounds: Annotated[int, typer.Option(min=0, help="Time: rounds, in turn; 5 are enough.")] = 0,
     report: Annotated[Path | None, typer.Option(help="Write the page as Markdown.")] = None,
     pictures: Annotated[Path | None, typer.Option(help="Folder for what is scored, PNG.")] = None,
+    seeds: Annotated[
+        int, typer.Option(min=1, max=MOST_SEEDS, help="Trainings of each, from other numbers.")
+    ] = 1,
+    only: Annotated[
+        list[str] | None, typer.Option(help="Name of a variant; repeatable; default: all.")
+    ] = None,
+    steps: Annotated[int, typer.Option(min=1, help="Of each training.")] = STEPS,
     threads: Annotated[int, typer.Option(help="Threads of PyTorch in training.")] = 0,
     height: Annotated[int, typer.Option(min=1, help="Of the frame that is timed.")] = 720,
     width: Annotated[int, typer.Option(min=1)] = 1280,
@@ -42,21 +52,30 @@ def main(
         require_drawable(report)
     if threads:
         torch.set_num_threads(threads)
-    variants = study()
+    variants = _chosen(study(seeds, steps), only)
     if data:
         train_all(variants, data, out)
     if validation:
         score_all(variants, out, validation, pictures)
     if rounds:
-        timed = [variant for variant in variants if variant.name in TIMED]
+        timed = [one for one in variants if one.name in TIMED and one.seed == 1]
         time_all(timed, out, (height, width), rounds)
     if report:
         write_page(variants, read_results(variants, out), report, _COMMAND)
 
 
+def _chosen(variants: list[Variant], names: list[str] | None) -> list[Variant]:
+    """Those of some names, in the study's order; all without."""
+    known = list(dict.fromkeys(variant.name for variant in variants))
+    for name in names or ():
+        if name not in known:
+            raise InputError(f"only must be one of {'; '.join(known)}, got {name}")
+    return [variant for variant in variants if not names or variant.name in names]
+
+
 _COMMAND = (
-    "python -m stillray_training.ablation --data DATA --validation VALIDATION --rounds 5 "
-    "--out runs/ablation --report docs/ablations.md"
+    "python -m stillray_training.ablation --data DATA --validation VALIDATION --seeds 3 "
+    "--rounds 5 --out runs/ablation --report docs/ablations.md"
 )
 
 if __name__ == "__main__":

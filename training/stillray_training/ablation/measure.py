@@ -18,15 +18,16 @@ from torch import nn
 
 from stillray.compare import metrics
 from stillray.compare.display import display_exposure, tone_map, write_png
+from stillray.frame import Frame
 from stillray.io.exr.read_write import atomic_path, read_exr
 from stillray.models.registry import read_model
 from stillray.pipeline.denoiser import Denoiser
 from stillray.profiling.machine import describe
 from stillray.profiling.synthetic import swing
 from stillray_training.ablation.study import folder_of, is_finished
-from stillray_training.ablation.variants import ONE_FRAME, Variant
+from stillray_training.ablation.variants import ONE_FRAME, STILL_SAMPLES, Variant
 from stillray_training.checkpoint import CHECKPOINT, load_network
-from stillray_training.evaluate.cases import find_scenes, last_referenced
+from stillray_training.evaluate.cases import find_cases, find_scenes, last_referenced
 from stillray_training.evaluate.methods import run_stream
 from stillray_training.loss_log import LOG
 from stillray_training.networks.fuse import fuse
@@ -68,7 +69,7 @@ def score_all(
     validation
         Folder of sequences with references.
     pictures
-        Folder for tone-mapped PNGs.
+        Folder for tone-mapped PNGs, of the first seed's.
     """
     for variant in variants:
         if not is_finished(variant, out):
@@ -83,11 +84,13 @@ def score_all(
         with TemporaryDirectory() as temporary_folder:
             file = Path(temporary_folder) / "network.onnx"
             export(variant, network, file)
-            with open_stream(variant, file) as stream:
-                found["scenes"] = score(stream, validation, pictures)
+            shown = pictures if variant.seed == 1 else None
+            with open_stream(variant, file, temporal=not variant.stills) as stream:
+                scored = score_stills if variant.stills else score
+                found["scenes"] = scored(stream, validation, shown)
             if variant.name in ONE_FRAME:
                 with open_stream(variant, file, temporal=False) as stream:
-                    found["one frame"] = score(stream, validation, pictures)
+                    found["one frame"] = score(stream, validation, shown)
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(found, indent=1))
 
@@ -106,16 +109,41 @@ def score(
     for scene in find_scenes(validation):
         paths, references = last_referenced(scene)
         frames = [read_exr(path) for path in (paths if stream.temporal else paths[-1:])]
-        stream.reset()
-        (image,), _ = run_stream(stream, frames, 1)
-        scenes[scene.name] = metrics.evaluate([image], references[-1:], names=METRICS)
-        if pictures is not None:
-            pictures.mkdir(parents=True, exist_ok=True)
-            parts = [scene.name, stream.model.name, "" if stream.temporal else "one frame"]
-            name = "-".join(part.replace(" ", "-") for part in parts if part)
-            exposure = display_exposure(references[-1])
-            write_png(pictures / f"{name}.png", tone_map(image, exposure))
+        how = "" if stream.temporal else "one frame"
+        picture = _picture(pictures, scene.name, stream.model.name, how)
+        scenes[scene.name] = _score_last(stream, frames, references[-1], picture)
     return scenes
+
+
+def score_stills(
+    stream: Denoiser, validation: Path, pictures: Path | None = None
+) -> dict[str, dict[str, float]]:
+    """Scene to metric to value, of single frames of `STILL_SAMPLES` samples a pixel."""
+    scenes = {}
+    for case in find_cases(validation, kinds=("stills",), counts=(STILL_SAMPLES,)):
+        frames, references = case.read()
+        picture = _picture(pictures, case.name, stream.model.name)
+        scenes[case.name] = _score_last(stream, frames, references[-1], picture)
+    return scenes
+
+
+def _picture(folder: Path | None, *parts: str) -> Path | None:
+    """Where a picture goes, if pictures are wanted."""
+    if folder is None:
+        return None
+    folder.mkdir(parents=True, exist_ok=True)
+    name = "-".join(part.replace(" ", "-").replace(",", "") for part in parts if part)
+    return folder / f"{name}.png"
+
+
+def _score_last(
+    stream: Denoiser, frames: list[Frame], reference: np.ndarray, picture: Path | None
+) -> dict[str, float]:
+    stream.reset()
+    (image,), _ = run_stream(stream, frames, 1)
+    if picture is not None:
+        write_png(picture, tone_map(image, display_exposure(reference)))
+    return metrics.evaluate([image], [reference], names=METRICS)
 
 
 def time_all(variants: Sequence[Variant], out: Path, size: tuple[int, int], rounds: int) -> None:

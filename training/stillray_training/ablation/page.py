@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -9,15 +10,21 @@ from stillray.compare.metrics import METRICS as ALL_METRICS
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import load
 from stillray.model_spec.loader import Training
-from stillray_training.ablation.claims import CLAIMS, HOLDS, measured, rises_in, spread, verdict
+from stillray_training.ablation.claims import (
+    CLAIMS,
+    HOLDS,
+    measured,
+    rises_in,
+    uncertainty,
+    verdict,
+)
 from stillray_training.ablation.measure import METRICS
 from stillray_training.ablation.plots import draw_kernels
-from stillray_training.ablation.results import Results, mean_over_scenes
+from stillray_training.ablation.results import Results, Value, mean_over_scenes
 from stillray_training.ablation.variants import (
     BASE,
     COMPARISONS,
     KERNEL_COUNTS,
-    OTHER_SEED,
     Variant,
     fused,
 )
@@ -29,14 +36,14 @@ _HEAD = """# Ablations
 Written by `{command}`; the study is `training/stillray_training/ablation/variants.py`.
 
 The ablations of Fan et al. 2021 on our data, and its learned peers. Every variant was trained alike
-and shortly: {steps} steps of {batch} patches of {patch}x{patch} pixels, the same patches in the
-same order, seed {seed}, by SMAPE alone as in the paper; the recipe of {base} sees {factor:.0f}
-times as many pixels. So these figures compare variants with one another, not with the models that
-stillray comes with, and tell more of what is learned early than of what can be learned. All read
-the same {features} features of frames accumulated alike, and run as users run a model: exported,
-through ONNX Runtime and the runtime's stages; directly predicted kernels (KP, MR-KP) differ in the
-reconstruction alone. PSNR, SSIM, SMAPE and FLIP are of the last frame, mean of {scenes} validation
-sequences ({names}), with exposure as in [results.md](results.md).
+and shortly: {steps} steps of {batch} patches of {patch}x{patch} pixels, with the same seed the same
+patches in the same order, {seeds}, by SMAPE alone as in the paper; the recipe of {base} sees
+{factor:.0f} times as many pixels. So these figures compare variants with one another, not with the
+models that stillray comes with, and tell more of what is learned early than of what can be learned.
+All read the same {features} features of frames accumulated alike, and run as users run a model:
+exported, through ONNX Runtime and the runtime's stages; directly predicted kernels (KP, MR-KP)
+differ in the reconstruction alone. {spread}PSNR, SSIM, SMAPE and FLIP are of the last frame, mean
+of {scenes} validation sequences ({names}), with exposure as in [results.md](results.md).
 
 Milliseconds are of a {width}x{height} frame on {machine}: medians of {rounds} rounds in which the
 variants take turns in one process; "/ {base}" is the median of the rounds' ratios of both together.
@@ -45,6 +52,10 @@ The training loss is the mean of the last 200 steps, on the same patches for all
 reconstruction of KP and MR-KP is ours, a pass over the frame for each of a kernel's weights; it is
 tested against the same loop as what it was trained with.
 """
+
+
+_SPREAD = """Behind each mean stands
+the standard deviation over the seeds. """
 
 
 def write_page(variants: Sequence[Variant], results: Results, path: Path, command: str) -> None:
@@ -60,7 +71,7 @@ def write_page(variants: Sequence[Variant], results: Results, path: Path, comman
         What wrote it, for the reader.
     """
     plot = path.with_suffix(".png")
-    drawn = any(fused(count) in results.scores for count in KERNEL_COUNTS[:-1])
+    drawn = any(fused(count) in results.scores for count in KERNEL_COUNTS if fused(count) != BASE)
     if drawn:
         draw_kernels(results, plot)
     parts = [
@@ -83,13 +94,14 @@ def write_page(variants: Sequence[Variant], results: Results, path: Path, comman
 def _head(variants: Sequence[Variant], results: Results, command: str) -> str:
     base = next(variant.spec for variant in variants if variant.name == BASE)
     recipe = base.training
-    scenes = sorted(results.scores[BASE])
+    scenes, count = _scenes_of(results), len(results.scores[BASE])
     return _HEAD.format(
         command=command,
         steps=recipe.steps,
         batch=recipe.batch,
         patch=recipe.patch,
-        seed=recipe.seed,
+        seeds=_of_seeds(count),
+        spread=_SPREAD if count > 1 else "",
         factor=_pixels(load(BASE).training) / _pixels(recipe),
         features=len(base.network.features),
         scenes=len(scenes),
@@ -108,23 +120,38 @@ def _pixels(recipe: Training) -> int:
     return recipe.steps * recipe.batch * recipe.patch**2
 
 
+def _of_seeds(count: int) -> str:
+    return "one seed" if count == 1 else f"{count} seeds each"
+
+
+def _scenes_of(results: Results) -> list[str]:
+    return sorted(next(iter(results.scores[BASE].values())))
+
+
 def _left_out(variants: Sequence[Variant], results: Results) -> str:
-    names = [variant.name for variant in variants if variant.name not in results.scores]
-    return f"Not finished when this was written: {', '.join(names)}.\n" if names else ""
+    """Which trainings are missing, and how many of each."""
+    wanted = Counter(variant.name for variant in variants)
+    missing = {
+        name: count - len(results.scores.get(name, ()))
+        for name, count in wanted.items()
+        if len(results.scores.get(name, ())) < count
+    }
+    if not missing:
+        return ""
+    told = [
+        name if wanted[name] == 1 else f"{name} ({count} of {wanted[name]} seeds)"
+        for name, count in missing.items()
+    ]
+    return f"Not finished when this was written: {'; '.join(told)}.\n"
 
 
 def _claims(results: Results) -> str:
-    noise = spread(results)
     lines = [
-        "## What of the paper holds",
+        "## What of the papers holds",
         "",
-        "Differences are in PSNR, dB; of times, the first over the second. "
-        + (
-            f"{BASE} from other random numbers differs by {noise:.2f} dB, so less says nothing."
-            if noise is not None
-            else f"{OTHER_SEED} was not trained, so a difference of tenths, or one that scenes do "
-            "not share, may say nothing."
-        ),
+        "Differences are in PSNR, dB, seed by seed: both saw the same patches; behind them, half "
+        "of the interval in which the mean over all seeds lies, 95 %. Of times, the first over the "
+        "second. Of one seed nothing is concluded.",
         "",
         "| finding | paper | here | scenes in which the first is above | |",
         "|---|---|---|---|---|",
@@ -135,9 +162,11 @@ def _claims(results: Results) -> str:
         if found is None:  # the variants that are missing are named above
             continue
         paper = "" if claim.paper is None else format(claim.paper, form)
-        said = verdict(claim, found, noise or 0.0)
+        said = verdict(claim, found)
         scenes = "" if claim.times else rises_in(claim, results)
-        lines.append(f"| {claim.text} | {paper} | {found:{form}} | {scenes} | {said} |")
+        unsure = uncertainty(found)
+        here = format(found.mean, form) + ("" if unsure is None else f" ± {unsure:.2f}")
+        lines.append(f"| {claim.text} | {paper} | {here} | {scenes} | {said} |")
         if claim.why and said != HOLDS:
             reasons.append(f"- {claim.text}: {said}. {claim.why}")
     return "\n".join([*lines, "", *reasons]).rstrip() + "\n"
@@ -171,21 +200,19 @@ def _accumulation(results: Results) -> str:
         "",
         *_header("variant", []),
     ]
-    for name, scenes in results.one_frame.items():
+    for name, seeds in results.one_frame.items():
         lines.append(f"| {name} | " + " | ".join(_cells(results.mean(name))) + " |")
-        lines.append(
-            f"| {name}, one frame | " + " | ".join(_cells(mean_over_scenes(scenes))) + " |"
-        )
+        lines.append(f"| {name}, one frame | " + " | ".join(_cells(mean_over_scenes(seeds))) + " |")
     return "\n".join(lines) + "\n"
 
 
 def _scenes(results: Results) -> str:
     parts = ["## By scene", ""]
-    for scene in sorted(results.scores[BASE]):
+    for scene in _scenes_of(results):
         parts += _header(scene, [])
         parts += [
-            f"| {name} | " + " | ".join(_cells(scenes[scene])) + " |"
-            for name, scenes in results.scores.items()
+            f"| {name} | " + " | ".join(_cells(results.of_scene(name, scene))) + " |"
+            for name in results.scores
         ]
         parts.append("")
     return "\n".join(parts)
@@ -196,5 +223,10 @@ def _header(first: str, extra: Sequence[str]) -> list[str]:
     return ["| " + " | ".join(titles) + " |", "|---" * len(titles) + "|"]
 
 
-def _cells(row: Mapping[str, float]) -> list[str]:
-    return [format(row[m.name], m.format) if m.name in row else "" for m in _SHOWN]
+def _cells(row: Mapping[str, Value]) -> list[str]:
+    return [_cell(row[m.name], m.format) if m.name in row else "" for m in _SHOWN]
+
+
+def _cell(value: Value, form: str) -> str:
+    mean = format(value.mean, form)
+    return mean if value.deviation is None else f"{mean} ± {value.deviation:{form}}"

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 
 from stillray.profiling.plot import new_figure, save
 from stillray_training.ablation.results import Results
-from stillray_training.ablation.variants import COMPARISONS, KERNEL_COUNTS, SIZES, fused, single
+from stillray_training.ablation.variants import (
+    COMPARISONS,
+    KERNEL_COUNTS,
+    SIZES,
+    fused,
+    single,
+    sizes_of,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +32,9 @@ def draw_kernels(results: Results, path: Path) -> None:
         quality, list(KERNEL_COUNTS), [fused(count) for count in KERNEL_COUNTS], results,
         "fused, 3x3 to this size",
     )  # fmt: skip
-    quality.set_xticks(places, [f"{size}x{size}" for size in SIZES])
+    ticks = [sizes_of(count)[-1] for count in KERNEL_COUNTS]
+    quality.set_xticks(list(KERNEL_COUNTS), [f"{size}" for size in ticks])
+    quality.set_xlabel("pixels of the only or the largest kernel")
     quality.set_ylabel("PSNR dB, mean of the scenes")
     quality.legend()
     timed = [count for count in KERNEL_COUNTS if fused(count) in results.milliseconds]
@@ -36,7 +45,7 @@ def draw_kernels(results: Results, path: Path) -> None:
     time.set_ylabel(f"milliseconds of reconstruction, {results.size[1]}x{results.size[0]}")
     for name in _PEERS:
         if name in results.scores and name in results.milliseconds:
-            at = (results.milliseconds[name]["both"], results.mean(name)["psnr"])
+            at = (results.milliseconds[name]["both"], results.mean(name)["psnr"].mean)
             marker, color = ("s", "C3") if "KP" in name else ("o", "C0")
             peers.plot(*at, marker, color=color)
             peers.annotate(name, at, xytext=(6, 4), textcoords="offset points")
@@ -57,4 +66,11 @@ def _line(
         for place, name in zip(places, names, strict=True)
         if name in results.scores
     ]
-    axes.plot([place for place, _ in found], [psnr for _, psnr in found], "o-", label=label)
+    axes.errorbar(
+        [place for place, _ in found],
+        [psnr.mean for _, psnr in found],
+        yerr=[psnr.deviation or 0.0 for _, psnr in found],
+        fmt="o-",
+        capsize=3,
+        label=label,
+    )

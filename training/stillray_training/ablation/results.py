@@ -1,4 +1,4 @@
-"""What the study has found so far: read from its folder, averaged."""
+"""What the study has found so far: read from its folder, averaged over scenes and seeds."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean, stdev
 from typing import Any
 
 import numpy as np
@@ -15,19 +16,49 @@ from stillray_training.ablation.measure import METRICS, PARTS, SCORES, TIMES
 from stillray_training.ablation.study import folder_of
 from stillray_training.ablation.variants import BASE, Variant
 
+#: Scene to metric to value.
+Scenes = dict[str, dict[str, float]]
+#: Seed to what was found with it.
+Seeds = dict[int, Scenes]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Value:
+    """A mean over seeds, and how far seeds lie apart.
+
+    Attributes
+    ----------
+    mean
+    deviation
+        Standard deviation over the seeds, of the sample; None of one seed.
+    seeds
+        How many.
+    """
+
+    mean: float
+    deviation: float | None
+    seeds: int
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Value:
+        """Of one value a seed."""
+        apart = stdev(values) if len(values) > 1 else None
+        return cls(mean=fmean(values), deviation=apart, seeds=len(values))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Results:
-    """Means over scenes and medians over rounds.
+    """Means over scenes and seeds, and medians over rounds.
 
     Attributes
     ----------
     scores
-        Variant to scene to metric to value; variants that are not finished are absent.
+        Variant to seed to scene to metric to value; what is not finished is absent.
     one_frame
         The same without accumulation, for some variants.
     losses
-        Variant to the mean loss of its last 200 steps of training, on the same patches for all.
+        Variant to the mean loss of its last 200 steps of training, on the same patches for all of
+        a seed; mean over seeds.
     milliseconds
         Variant to part to the median over rounds.
     ratios
@@ -42,8 +73,8 @@ class Results:
         Programs that were running there, this one among them: the mean of the last minute.
     """
 
-    scores: dict[str, dict[str, dict[str, float]]]
-    one_frame: dict[str, dict[str, dict[str, float]]]
+    scores: dict[str, Seeds]
+    one_frame: dict[str, Seeds]
     losses: dict[str, float]
     milliseconds: dict[str, dict[str, float]]
     ratios: dict[str, dict[str, float]]
@@ -52,18 +83,41 @@ class Results:
     machine: dict[str, str]
     load: float
 
-    def mean(self, name: str) -> dict[str, float]:
-        """Mean scores of a variant over the scenes."""
+    def mean(self, name: str) -> dict[str, Value]:
+        """Metric to the mean of a variant over the scenes, and its spread over the seeds."""
         return mean_over_scenes(self.scores[name])
 
+    def difference(self, first: str, second: str) -> Value | None:
+        """PSNR of the first less that of the second, seed by seed; None without a shared seed.
 
-def mean_over_scenes(scenes: dict[str, dict[str, float]]) -> dict[str, float]:
-    """Metric to mean, for the metrics that every scene has."""
+        Both saw the same patches with the same seed, so what those do to both does not count.
+        """
+        pair = self.scores.get(first, {}), self.scores.get(second, {})
+        shared = sorted(pair[0].keys() & pair[1].keys())
+        if not shared:
+            return None
+        return Value.of([_psnr(pair[0][seed]) - _psnr(pair[1][seed]) for seed in shared])
+
+    def of_scene(self, name: str, scene: str) -> dict[str, Value]:
+        """The same as `mean`, of one scene."""
+        return mean_over_scenes(
+            {seed: {scene: scenes[scene]} for seed, scenes in self.scores[name].items()}
+        )
+
+
+def mean_over_scenes(seeds: Seeds) -> dict[str, Value]:
+    """Metric to mean and spread, for the metrics that every scene has."""
     return {
-        metric: float(np.mean([scores[metric] for scores in scenes.values()]))
+        metric: Value.of(
+            [fmean(one[metric] for one in scenes.values()) for scenes in seeds.values()]
+        )
         for metric in METRICS
-        if all(metric in scores for scores in scenes.values())
+        if all(metric in one for scenes in seeds.values() for one in scenes.values())
     }
+
+
+def _psnr(scenes: Scenes) -> float:
+    return fmean(one["psnr"] for one in scenes.values())
 
 
 def read_results(variants: Sequence[Variant], out: Path) -> Results:
@@ -74,15 +128,17 @@ def read_results(variants: Sequence[Variant], out: Path) -> Results:
     InputError
         Nothing was scored, or nothing was timed.
     """
-    scores, one_frame, losses = {}, {}, {}
+    scores: dict[str, Seeds] = {}
+    one_frame: dict[str, Seeds] = {}
+    losses: dict[str, list[float]] = {}
     for variant in variants:
         path = folder_of(variant, out) / SCORES
         if path.is_file():
             found = json.loads(path.read_text())
-            scores[variant.name] = found["scenes"]
-            losses[variant.name] = found["loss"]
+            scores.setdefault(variant.name, {})[variant.seed] = found["scenes"]
+            losses.setdefault(variant.name, []).append(found["loss"])
             if "one frame" in found:
-                one_frame[variant.name] = found["one frame"]
+                one_frame.setdefault(variant.name, {})[variant.seed] = found["one frame"]
     if BASE not in scores:
         raise InputError(f"out must hold the scores of {BASE} at least, got {out}")
     if not (out / TIMES).is_file():
@@ -92,7 +148,7 @@ def read_results(variants: Sequence[Variant], out: Path) -> Results:
     return Results(
         scores=scores,
         one_frame=one_frame,
-        losses=losses,
+        losses={name: fmean(values) for name, values in losses.items()},
         milliseconds={
             name: {part: float(np.median(values)) for part, values in parts.items()}
             for name, parts in rounds.items()

@@ -24,6 +24,7 @@ from stillray_training.evaluate.report import sections
 from stillray_training.evaluate.scores import Results, evaluate_cases, taken_from
 from stillray_training.peers import PEERS
 
+_PEER_NAMES = [peer.name for peer in PEERS if not peer.halves]
 _METRIC_NAMES = [metric.name for metric in METRICS]
 
 
@@ -37,7 +38,7 @@ def main(
     ] = None,
     peer: Annotated[
         list[str] | None,
-        typer.Option(help=f"{', '.join(p.name for p in PEERS)}; repeatable; default: installed."),
+        typer.Option(help=f"{', '.join(_PEER_NAMES)}; repeatable; default: installed."),
     ] = None,
     peers: Annotated[bool, typer.Option(help="Run peers at all.")] = True,
     peers_from: Annotated[
@@ -50,7 +51,7 @@ def main(
         str | None, typer.Option(help="Samples a pixel of the stills, such as 4,16; default: all.")
     ] = None,
     metrics: Annotated[
-        str | None, typer.Option(help=f"Out of {','.join(_METRIC_NAMES)}; default: all.")
+        str | None, typer.Option(help=f"Out of {','.join(_METRIC_NAMES)}; default: all but rmse.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Write scores as JSON.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write the tables as Markdown.")] = None,

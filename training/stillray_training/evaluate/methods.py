@@ -11,6 +11,7 @@ import numpy as np
 
 from stillray.arrays.strips import Strips
 from stillray.compare.metrics import METRICS
+from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.models.registry import find_model
 from stillray.pipeline.denoiser import Denoiser
@@ -129,16 +130,23 @@ def accumulate_frames(frames: Sequence[Frame], model: str) -> list[np.ndarray]:
 
 
 def choose_peers(names: Sequence[str] | None) -> list[str]:
-    """The peers to run: those named, or all that are installed.
+    """The peers to run: those named, or all that are installed and take frames of one color.
 
     Raises
     ------
     InputError
-        A named peer does not exist or cannot run here.
+        A named peer does not exist or cannot run here, or takes frames of two halves.
     """
-    if names is not None:
-        return [find_peer(name).name for name in dict.fromkeys(names)]
-    return [peer.name for peer in PEERS if peer.is_installed]
+    if names is None:
+        return [peer.name for peer in PEERS if peer.is_installed and not peer.halves]
+    peers = [find_peer(name) for name in dict.fromkeys(names)]
+    for peer in peers:
+        if peer.halves:
+            raise InputError(
+                f"peer must be one for frames of one color, got {peer.name}, which takes two "
+                "halves: see stillray_training.online.evaluate"
+            )
+    return [peer.name for peer in peers]
 
 
 def left_out(peers: Sequence[str] | None) -> str:

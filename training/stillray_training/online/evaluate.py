@@ -3,10 +3,10 @@
 ``python -m stillray_training.online.evaluate SEQUENCE REFERENCES --report report.json``
 
 Frames of two halves (``stillray-simulate --second-color``) go through it, through its parts alone
-(Choi et al. 2024, figure 8), other models and peers, which are fed the mean of both halves: its
-table 1. Every metric of every frame with a reference is printed, too, and drawn by ``--plot``: its
-figure 7. Frames have the cameras of `stillray_training.online.to_and_fro`; those whose camera has a
-reference are measured.
+(Choi et al. 2024, figure 8), other models and peers, which are fed the mean of both halves, NFOR
+both: its table 1. Every metric of every frame with a reference is printed, too, and drawn by
+``--plot``: its figure 7. Frames have the cameras of `stillray_training.online.to_and_fro`; those
+whose camera has a reference are measured.
 
 ``... evaluate 'a/noisy/s000.####.exr' 'a/clean/s000.####.exr' --color-b 'b/noisy/s000.####.exr'``
 does the same with anybody's renders of two seeds: a reference has the number of its frame.
@@ -87,6 +87,10 @@ def mean_of_halves(frame: Frame) -> Frame:
     return dataclasses.replace(frame, color=color, color_b=None, samples=samples)
 
 
+def _as_it_is(frame: Frame) -> Frame:
+    return frame
+
+
 def streams(
     models: Sequence[str], peers: Sequence[str], opened: ExitStack, *, parts: bool
 ) -> Iterator[tuple[str, Stream]]:
@@ -99,8 +103,10 @@ def streams(
         model = opened.enter_context(Denoiser(name))
         yield name, lambda frame, model=model: model.denoise(mean_of_halves(frame))  # type: ignore[misc]
     for name in peers:
-        peer = find_peer(name).make()
-        yield name, lambda frame, peer=peer: peer.denoise(mean_of_halves(frame))  # type: ignore[misc]
+        peer = find_peer(name)
+        made = peer.make()
+        given = _as_it_is if peer.halves else mean_of_halves
+        yield name, lambda frame, made=made, given=given: made.denoise(given(frame))  # type: ignore[misc]
 
 
 def _parts(opened: ExitStack) -> Iterator[tuple[str, Stream]]:

@@ -60,11 +60,15 @@ class KernelPredictionNet(nn.Module):
         Input planes.
     options
         Widths and branches.
+    outputs
+        Planes that it gives; None for a plane a weight of the kernel.
     """
 
-    def __init__(self, features: int, options: KernelPrediction) -> None:
+    def __init__(
+        self, features: int, options: KernelPrediction, outputs: int | None = None
+    ) -> None:
         super().__init__()
-        widths = (features, *options.widths, options.kernel_size**2)
+        widths = (features, *options.widths, outputs or options.kernel_size**2)
         last = len(widths) - 2
         self.blocks = nn.Sequential(
             *(
@@ -80,7 +84,7 @@ class KernelPredictionNet(nn.Module):
         )
 
     def forward(self, features_nchw: Tensor) -> Tensor:
-        """``(n, features, h, w)`` to ``(n, k k, h, w)``: logits of each pixel's kernel."""
+        """``(n, features, h, w)`` to ``(n, outputs, h, w)``: logits of each pixel's kernel."""
         logits: Tensor = self.blocks(features_nchw)
         return logits
 
@@ -255,11 +259,21 @@ class PredictedKernelsModel(TemporalKernels):
         return image
 
 
-def options_of(spec: ModelSpec) -> KernelPrediction:
-    """The peer of a model with one kernel size: the same network up to its last block."""
+def options_of(spec: ModelSpec, size: int | None = None) -> KernelPrediction:
+    """The peer of a model with one kernel size: the same network up to its last block.
+
+    Parameters
+    ----------
+    spec
+        The model's.
+    size
+        Of a kernel, pixels, for a model that has several; None for the one that it has.
+    """
     network, decoder = spec.network, spec.decoder
     assert isinstance(network, ImportanceNetwork)
     assert isinstance(decoder, FusedKernels)
+    if size is not None:
+        decoder = decoder.with_kernels((size,))
     return KernelPrediction(
         **dataclasses.asdict(kernels_of(decoder)),
         widths=network.widths,

@@ -32,6 +32,7 @@ class Peer:
     module: str  # what has to be importable
     package: str  # what to install for that
     make: Callable[[], PeerDenoiser]
+    halves: bool = False  # whether it takes frames of two halves of their samples, `Frame.color_b`
 
     @property
     def is_installed(self) -> bool:
@@ -57,6 +58,12 @@ def _bmfr() -> PeerDenoiser:
     return Bmfr()
 
 
+def _nfor() -> PeerDenoiser:
+    from stillray_training.peers.nfor import Nfor
+
+    return Nfor()
+
+
 #: Every peer, in the order of the tables.
 PEERS = (
     Peer(
@@ -70,6 +77,10 @@ PEERS = (
     ),
     Peer(
         name="bmfr", label="BMFR", remembers=True, module="scipy", package="scipy", make=_bmfr,
+    ),
+    Peer(
+        name="nfor", label="NFOR", remembers=False, module="cv2",
+        package="opencv-python-headless", make=_nfor, halves=True,
     ),
     *(
         Peer(
