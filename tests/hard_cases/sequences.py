@@ -260,7 +260,6 @@ def shadow_moves_in_noise(denoiser: stillray.Denoiser) -> Iterator[float]:
     "the same, 16 samples",
     _WITH_AND_WITHOUT,
     1.1,
-    kpyr_5=_HIDDEN_BY_NOISE,
     kpyr_5s=_HIDDEN_BY_NOISE,
     nbg_7x3=_HIDDEN_BY_NOISE,
     wskp_3=_HIDDEN_BY_NOISE,
