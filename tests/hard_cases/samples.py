@@ -81,7 +81,6 @@ def firefly_four_frames_later(denoiser: stillray.Denoiser) -> float:
     "a firefly of 1e3 to 3e38 after 20 frames",
     "largest pixel / the same without it",
     4,
-    kpyr_5s="a tenth above the limit with the weights of 2026-11-23, a tenth below it before",
     nbg_7x3=_TRAINED_ON_CLEAN,
     wskp_3s="a third above the limit since it reads eight features; why was not found",
 )

@@ -143,11 +143,7 @@ class OnlineModel:
         exposure = math.sqrt(prepared.history.exposure) * math.sqrt(other.exposure)
         with timed(context.timings, "regress"):
             guides = _guide_planes(prepared, context)
-            both = self.pilots(
-                *(exposed(half.mean, exposure, strips) for half in (prepared.history, other)),
-                guides,
-                strips,
-            )
+            both = self._regressed((prepared.history, other), exposure, guides, strips)
         shape, albedo = plan.first.shape, prepared.remodulation_albedo
         taught, last = no_pilots(shape), np.zeros((4, *shape), np.float32)
         if plan.runs("warp") and plan.past is not None:
@@ -219,6 +215,13 @@ class OnlineModel:
                     plan.first.past, prepared, context.strips, context.workspace, sharp=True
                 )
         return prepared, other, picture
+
+    def _regressed(
+        self, halves: tuple[History, History], exposure: float, guides: np.ndarray, strips: Strips
+    ) -> np.ndarray:
+        """`pilots` of what both halves hold; exposed, that is held no longer than it takes."""
+        first, second = (exposed(half.mean, exposure, strips) for half in halves)
+        return self.pilots(first, second, guides, strips)
 
     def pilots(
         self, first: np.ndarray, second: np.ndarray, guides: np.ndarray, strips: Strips
