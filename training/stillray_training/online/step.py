@@ -49,7 +49,12 @@ class Learning:
 
 
 def loss(weights: Tensor, features: Tensor, past: Tensor, inside: Tensor, how: Learning) -> Tensor:
-    """Eq. 11 to 13: how far each output is from what the other half says, now and a frame ago.
+    """Eq. 11 to 13: how far each half, filtered, is from what the other says, now and a frame ago.
+
+    differs: the paper measures outputs, which the last output has a share in. Here halves are
+    accumulated, so that the last output holds samples of the very pilots that it would be measured
+    by: it would win whatever it shows, and the picture would freeze (docs/decisions.md). So halves
+    are measured before they are blended with it, and the share is held where it begins.
 
     Parameters
     ----------
@@ -68,18 +73,15 @@ def loss(weights: Tensor, features: Tensor, past: Tensor, inside: Tensor, how: L
     filtered, _ = cross_bilateral(
         planes[:6], planes[6:12], inside[0], theta, checkered=how.checkered
     )
-    # without a past, a frame's share is 1
-    share = 1 - (1 - torch.sigmoid(theta.split([5, 1])[1][0])) * valid[0]
-    last = planes[12:15]
-    outputs = last + share * (filtered - last)
-    now = planes[:6].reshape(2, 3, *share.shape).flip(0)
-    before = past[0, :6].reshape(2, 3, *share.shape).flip(0)
+    height, width = inside.shape[2:]
+    now = planes[:6].reshape(2, 3, height, width).flip(0)
+    before = past[0, :6].reshape(2, 3, height, width).flip(0)
 
     def distance(wanted: Tensor) -> Tensor:
-        square = ((outputs - wanted) ** 2).sum(1)
+        square = ((filtered - wanted) ** 2).sum(1)
         return (square / ((wanted**2).sum(1) + how.loss_epsilon)).mean(0)
 
-    both = (distance(now) + valid[0] * distance(before)) / 2
+    both = (distance(now) + valid[0] * distance(before)) / 2 + theta[-1] ** 2
     return (both * inside[0, 0]).sum() / inside.sum()
 
 
