@@ -265,12 +265,13 @@ def test_a_past_that_does_not_hold_can_be_let_go():
 
 
 @pytest.mark.parametrize("model", ["kpyr-5", "kpyr-5s"])
-def test_the_border_of_a_frame_that_is_no_whole_blocks_is_as_clean_as_the_rest(model):
+def test_the_last_rows_of_a_frame_that_is_no_whole_blocks_are_as_clean_as_the_first(model):
+    """They are carried on to whole blocks, the first are not; at any border less is around."""
     height, width = 104, 64  # 6.5 of the largest blocks
     normal = np.broadcast_to(np.float32([0, 1, 0]), (height, width, 3))
     depth = np.repeat(5 + 0.02 * np.arange(height, 0, -1, dtype=np.float32)[:, None], width, 1)
-    at_border, inside = 0.0, 0.0
-    for seed in range(4):
+    last, first = 0.0, 0.0
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         lit = rng.random((height, width, 1)) < 0.3
         light = rng.exponential(1 / 0.3, (height, width, 1)) * lit  # 1 in the mean
@@ -278,6 +279,6 @@ def test_the_border_of_a_frame_that_is_no_whole_blocks_is_as_clean_as_the_rest(m
         albedo = np.full_like(color, 0.5)
         clean = stillray.denoise(color, albedo=albedo, normal=normal, depth=depth, model=model)
         error = np.abs(clean - 0.5)
-        at_border += error[-4:].mean()
-        inside += error[8:-12].mean()
-    assert at_border < 1.4 * inside
+        last += error[-4:].mean()
+        first += error[:4].mean()
+    assert last < 1.3 * first

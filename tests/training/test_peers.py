@@ -254,7 +254,7 @@ def test_tone_curve_is_undone(rng):
 
 def test_an_unknown_peer_is_refused():
     with pytest.raises(
-        InputError, match=r"peer must be one of svgf, svgf-alone, bmfr, oidn-high, .* got nlm"
+        InputError, match=r"peer must be one of svgf, svgf-alone, bmfr, nfor, oidn-high, .* got nlm"
     ):
         find_peer("nlm")
 
@@ -272,6 +272,8 @@ def test_every_peer_denoises_a_frame(peer):
     if not peer.is_installed:
         pytest.skip(f"{peer.package} is not installed")
     frame = make_frame(48, 64, 3)
+    if peer.halves:
+        frame = dataclasses.replace(frame, color_b=make_frame(48, 64, 4).color)
     clean = peer.make().denoise(frame)
     truth = clean_color(48, 64)
     assert clean.shape == (48, 64, 3)
