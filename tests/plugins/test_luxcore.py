@@ -49,7 +49,8 @@ def test_a_films_arrays_are_a_frame_and_are_denoised(tmp_path):
     assert run.returncode == 0, run.stderr
     film = np.load(tmp_path / "film.npz")
     # the red square hovers above the middle, the floor fills the lowest rows
-    np.testing.assert_allclose(film["albedo"][12, 24], [0.8, 0.2, 0.1], rtol=1e-3)
+    # within it: pixels of its edge hold a sample or two of the floor, not the same every time
+    np.testing.assert_allclose(film["albedo"][14, 25], [0.8, 0.2, 0.1], rtol=1e-3)
     np.testing.assert_allclose(film["normal"][-1, 0], [0, 0, 1], atol=1e-3)
     assert film["depth"][-1, 24] < film["depth"][18, 24] < film["depth"][0, 24] == np.inf
     frame = stillray.Frame(
