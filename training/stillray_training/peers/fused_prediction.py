@@ -6,23 +6,22 @@ has one kernel and our own models kernels that neighbours share.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from stillray.arrays.strips import Strips, interleave, with_halo
+from stillray.arrays.strips import interleave
 from stillray.arrays.workspace import Workspace
 from stillray.families.box_filter import bounded_exp
-from stillray.families.temporal_kernels import Looks, TemporalKernels
+from stillray.families.temporal_kernels import Looks
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import FusedKernels
-from stillray.stages.state import Filterable
-from stillray.timing import timed
 from stillray_training.families import BoxFilter, Family
 from stillray_training.peers.kernel_prediction import (
     KernelPredictionNet,
+    KernelsOfPixels,
     PredictedKernels,
     filter_planes,
     kernels_of,
@@ -115,8 +114,8 @@ def _each(decoder: FusedKernels) -> list[PredictedKernels]:
     return [kernels_of(decoder.with_kernels((size,))) for size in decoder.kernel_sizes]
 
 
-class FusedPredictionModel(TemporalKernels):
-    """The peer as `stillray.Denoiser` runs it: accumulation and features are those of a model."""
+class FusedPredictionModel(KernelsOfPixels):
+    """The peer with several kernels a pixel."""
 
     def __init__(self, spec: ModelSpec) -> None:
         assert isinstance(spec.decoder, FusedKernels)
@@ -128,30 +127,11 @@ class FusedPredictionModel(TemporalKernels):
         reach = max(spec.decoder.kernel_sizes) // 2
         super().__init__(spec, Looks(reach=reach, receptive_field=None))
 
-    def reconstruct(
-        self,
-        light: Filterable,
-        outputs: Sequence[np.ndarray],
-        strips: Strips,
-        timings: dict[str, float],
+    def filter(
+        self, mean: np.ndarray, logits: np.ndarray, inner: slice, workspace: Workspace
     ) -> np.ndarray:
-        """Filter and remodulate, see `TemporalKernels`."""
-        (logits,) = outputs
-        mean = light.mean
-        height, width = mean.shape[:2]
-        image = np.empty((height, width, 3), np.float32)
-
-        def work(rows: slice) -> None:
-            near, own = with_halo(rows, self.looks.reach, height)
-            given = mean[near], logits[:, near]
-            image[rows] = filter_rows(*given, own, self._decoder, strips.workspace)
-
-        with timed(timings, "reconstruct"):
-            strips.run(work, height, width)
-        if light.remodulation_albedo is not None:
-            with timed(timings, "remodulate"):
-                image *= light.remodulation_albedo
-        return image
+        """See `KernelsOfPixels`."""
+        return filter_rows(mean, logits, inner, self._decoder, workspace)
 
 
 def _network(spec: ModelSpec) -> nn.Module:

@@ -11,6 +11,7 @@ this way instead. It is not among the families that specifications name: no user
 from __future__ import annotations
 
 import dataclasses
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -223,16 +224,14 @@ def filter_planes(
     return total
 
 
-class PredictedKernelsModel(TemporalKernels):
-    """The peer as `stillray.Denoiser` runs it: accumulation and features are those of a model."""
+class KernelsOfPixels(TemporalKernels):
+    """Peers as `stillray.Denoiser` runs them: accumulation and features are those of a model."""
 
-    def __init__(self, spec: ModelSpec) -> None:
-        self._options = options_of(spec)
-        size = self._options.kernel_size
-        self.method = f"a {size} x {size} kernel a pixel"
-        # an exponential, a weight, its sum and three channels; a logit a tap, light and image
-        self.cost = (size**2 * (1.0 + 2 + 1 + 3 * 2) + 3, size**2 + 4.0 + 3.0)
-        super().__init__(spec, Looks(reach=size // 2, receptive_field=None))
+    @abstractmethod
+    def filter(
+        self, mean: np.ndarray, logits: np.ndarray, inner: slice, workspace: Workspace
+    ) -> np.ndarray:
+        """The peer's `filter_rows`."""
 
     def reconstruct(
         self,
@@ -243,13 +242,13 @@ class PredictedKernelsModel(TemporalKernels):
     ) -> np.ndarray:
         """Filter and remodulate, see `TemporalKernels`."""
         (logits,) = outputs
-        options, mean = self._options, light.mean
+        mean = light.mean
         height, width = mean.shape[:2]
         image = np.empty((height, width, 3), np.float32)
 
         def work(rows: slice) -> None:
-            near, own = with_halo(rows, options.kernel_size // 2, height)
-            image[rows] = filter_rows(mean[near], logits[:, near], own, options, strips.workspace)
+            near, own = with_halo(rows, self.looks.reach, height)
+            image[rows] = self.filter(mean[near], logits[:, near], own, strips.workspace)
 
         with timed(timings, "reconstruct"):
             strips.run(work, height, width)
@@ -257,6 +256,24 @@ class PredictedKernelsModel(TemporalKernels):
             with timed(timings, "remodulate"):
                 image *= light.remodulation_albedo
         return image
+
+
+class PredictedKernelsModel(KernelsOfPixels):
+    """The peer with one kernel a pixel."""
+
+    def __init__(self, spec: ModelSpec) -> None:
+        self._options = options_of(spec)
+        size = self._options.kernel_size
+        self.method = f"a {size} x {size} kernel a pixel"
+        # an exponential, a weight, its sum and three channels; a logit a tap, light and image
+        self.cost = (size**2 * (1.0 + 2 + 1 + 3 * 2) + 3, size**2 + 4.0 + 3.0)
+        super().__init__(spec, Looks(reach=size // 2, receptive_field=None))
+
+    def filter(
+        self, mean: np.ndarray, logits: np.ndarray, inner: slice, workspace: Workspace
+    ) -> np.ndarray:
+        """See `KernelsOfPixels`."""
+        return filter_rows(mean, logits, inner, self._options, workspace)
 
 
 def options_of(spec: ModelSpec, size: int | None = None) -> KernelPrediction:
