@@ -417,7 +417,9 @@ def feature_filters(
             pool[y, x] = (planes[block] * weight[..., None]).sum((0, 1)) / weight.sum()
         if result is not None:
             pool = _mixed(pool, result, maps[level][own.coarser])
-        result = _gaussian(pool, maps[level], own.denoise)
+        for distance in filters.coarsest_filters if level == levels - 1 else (1,):
+            pool = _gaussian(pool, maps[level], own.denoise, distance)
+        result = pool
     if result is not None:
         planes = _mixed(planes, result, maps[0][layout.coarser])
     planes = _gaussian(planes, maps[0], layout.denoise)
@@ -431,14 +433,17 @@ def feature_filters(
     return {"image": image, **kept}
 
 
-def _gaussian(values: np.ndarray, maps: np.ndarray, planes: GaussianPlanes) -> np.ndarray:
+def _gaussian(
+    values: np.ndarray, maps: np.ndarray, planes: GaussianPlanes, distance: int = 1
+) -> np.ndarray:
     height, width = values.shape[:2]
     features, importance = maps[planes.features], maps[planes.importance]
     result = np.zeros_like(values)
     for y, x in np.ndindex(height, width):
         total = 0.0
-        for v in range(max(y - 1, 0), min(y + 2, height)):
-            for u in range(max(x - 1, 0), min(x + 2, width)):
+        rows, columns = (range(at - distance, at + 2 * distance, distance) for at in (y, x))
+        for v, u in itertools.product(rows, columns):
+            if 0 <= v < height and 0 <= u < width:
                 apart = min(((features[:, y, x] - features[:, v, u]) ** 2).sum(), 60.0)
                 weight = np.exp(importance[v, u] - apart)
                 total += weight

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -46,10 +48,10 @@ def case(rng, height, width, spread=1.0):
     return frame, past, planes
 
 
-def in_runtime(frame, past, planes, strips=None):
+def in_runtime(frame, past, planes, strips=None, rules=RULES):
     kept = Accumulated(past["light"], past["albedo"], past["specular"])
     with_past = Past(kept, past["output"])
-    image, after = reconstruct(Enlarged(**frame), with_past, planes, RULES, strips or Strips(1))
+    image, after = reconstruct(Enlarged(**frame), with_past, planes, rules, strips or Strips(1))
     return {
         "image": image,
         "light": after.light,
@@ -58,7 +60,7 @@ def in_runtime(frame, past, planes, strips=None):
     }
 
 
-def in_torch(frame, past, planes, kind=torch.float32):
+def in_torch(frame, past, planes, kind=torch.float32, rules=RULES):
     def tensor(image):
         return torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None].to(kind)
 
@@ -66,32 +68,40 @@ def in_torch(frame, past, planes, kind=torch.float32):
         twin.Enlarged(**{name: tensor(image) for name, image in frame.items()}),
         twin.Remembered(**{name: tensor(image) for name, image in past.items()}),
         [torch.from_numpy(part)[None].to(kind) for part in planes],
-        RULES,
+        rules,
     )
     parts = dict(zip(("image", "light", "albedo", "specular"), (image, *kept), strict=True))
     return {name: part[0].permute(1, 2, 0).numpy() for name, part in parts.items()}
 
 
-def expected(frame, past, planes):
+def expected(frame, past, planes, rules=RULES):
     finest = torch.nn.functional.pixel_shuffle(torch.from_numpy(planes[0])[None], 2)[0].numpy()
-    return oracles.feature_filters(frame, past, [finest, *planes[1:]], RULES)
+    return oracles.feature_filters(frame, past, [finest, *planes[1:]], rules)
 
 
-@pytest.mark.parametrize("spread", [1.0, 20.0])  # 20: most logits lie beyond the bound
-def test_all_forms_agree_with_loops_in_float64(rng, spread):
-    given = case(rng, 16, 24, spread)
-    oracle = expected(*given)
-    for found in (in_runtime(*given), in_torch(*given)):
+def filtered_by(*distances):
+    filters = dataclasses.replace(RULES.filters, coarsest_filters=distances)
+    return dataclasses.replace(RULES, filters=filters)
+
+
+# 20: most logits lie beyond the bound; 7: further than the level is wide
+@pytest.mark.parametrize(("spread", "distances"), [(1.0, (1,)), (20.0, (1,)), (1.0, (7, 2, 1))])
+def test_all_forms_agree_with_loops_in_float64(rng, spread, distances):
+    given, rules = case(rng, 16, 24, spread), filtered_by(*distances)
+    oracle = expected(*given, rules)
+    for found in (in_runtime(*given, rules=rules), in_torch(*given, rules=rules)):
         for name, image in found.items():
             # every pixel for itself, a firefly beside a dark one or not
             np.testing.assert_allclose(image, oracle[name], rtol=2e-4, atol=1e-6, err_msg=name)
-    exact = in_torch(*given, kind=torch.float64)
+    exact = in_torch(*given, kind=torch.float64, rules=rules)
     np.testing.assert_allclose(exact["image"], oracle["image"], rtol=1e-9)
 
 
 def test_strips_do_not_show(rng):
     given = case(rng, 32, 24)
-    whole, cut = in_runtime(*given), in_runtime(*given, strips=Strips(2, pixels=24 * 3))
+    rules = filtered_by(2, 1)
+    whole = in_runtime(*given, rules=rules)
+    cut = in_runtime(*given, strips=Strips(2, pixels=24 * 3), rules=rules)
     for name, image in whole.items():
         np.testing.assert_array_equal(cut[name], image, err_msg=name)
 

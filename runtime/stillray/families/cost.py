@@ -81,8 +81,11 @@ def feature_filters_cost(levels: int, options: FeatureFilters) -> tuple[float, f
         share = 0.25**level
         filtered, moved = gaussian_cost(9, options.features)
         # taken over and mixed with the next level
-        operations += share * (filtered + EXP + (2 * EXP + 9 * 3 if level < levels - 1 else 0))
-        planes += share * (moved + (1 if level < levels - 1 else 0))
+        passes = len(options.coarsest_filters) if level == levels - 1 else 1
+        operations += share * (
+            passes * (filtered + EXP) + (2 * EXP + 9 * 3 if level < levels - 1 else 0)
+        )
+        planes += share * (passes * moved + (1 if level < levels - 1 else 0))
     # light over two albedos; shares of the coarser levels, each a weighted mean of four pixels
     operations += 2 * 3 * 3 + levels * EXP + (levels - 1) * 9 * 3
     planes += 8 + levels - 1 + (levels - 1) * 10 / 4

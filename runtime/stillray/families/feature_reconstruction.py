@@ -11,7 +11,9 @@ leaves open, or does otherwise:
   give the plain mean. The samples that a mean is worth are one over the sum of its squared weights.
 - The partitioning pyramid (Balint et al. 2023): a pixel gives predicted shares of its light to the
   coarser levels, which are weighted means; from the coarsest on every level is mixed with the next,
-  of twice its size, and filtered. So a filter smooths what was doubled, and ends it at edges.
+  of twice its size, and filtered. So a filter smooths what was doubled, and ends it at edges. The
+  coarsest level may go through several filters, whose pixels lie further apart first: there, where a
+  pixel is 64, reach costs next to nothing.
 - Light over diffuse albedo, over specular albedo, light as it is and this frame's light alone are
   composed by weights that add up to 1.
 
@@ -198,6 +200,7 @@ class _Reconstruction:
         planes: GaussianPlanes,
         fill: Callable[[slice, np.ndarray], None],
         finish: Callable[[slice, np.ndarray], None],
+        distance: int = 1,
     ) -> None:
         """Filter what ``fill`` writes for rows, ``(channels, rows, w)``; ``finish`` takes it."""
         height, width = self._size[0] >> level, self._size[1] >> level
@@ -205,26 +208,30 @@ class _Reconstruction:
 
         def work(rows: slice) -> None:
             workspace = strips.workspace
-            near, _ = with_halo(rows, 1, height)
-            high = rows.stop - rows.start + 2
-            top = 1 - (rows.start - near.start)
+            near, _ = with_halo(rows, distance, height)
+            high = rows.stop - rows.start + 2 * distance
+            top = distance - (rows.start - near.start)
             filled = slice(top, top + near.stop - near.start)
+            inside = slice(distance, distance + width)
             count = self._rules.filters.features
             parts = [
-                framed(workspace.array(name, (size, high, width + 2)), filled, 1)
+                framed(
+                    workspace.array(name, (size, high, width + 2 * distance)), filled, distance
+                )
                 for name, size in (
                     ("values", channels), ("features", count), ("norms", 1), ("weight", 1)
                 )
             ]  # fmt: skip
             values, features, norms, weight = parts
-            fill(near, values[:, filled, 1:-1])
-            features[:, filled, 1:-1] = self._bounded(maps[planes.features, near])
-            measured(features[:, filled, 1:-1], norms[0, filled, 1:-1])
+            fill(near, values[:, filled, inside])
+            features[:, filled, inside] = self._bounded(maps[planes.features, near])
+            measured(features[:, filled, inside], norms[0, filled, inside])
             own = self._bounded(maps[planes.importance, near])
-            weight[0, filled, 1:-1] = cv2.exp(own).reshape(own.shape)
-            out = workspace.array("filtered", (channels, high - 2, width))
-            weights = Weights(features, norms[0], weight[0], weight[0, 1:-1, 1:-1])
-            gaussian(values, weights, out, workspace)
+            weight[0, filled, inside] = cv2.exp(own).reshape(own.shape)
+            out = workspace.array("filtered", (channels, high - 2 * distance, width))
+            itself = weight[0, distance : high - distance, inside]
+            weights = Weights(features, norms[0], weight[0], itself)
+            gaussian(values, weights, out, workspace, distance)
             finish(rows, out)
 
         strips.run(work, height, width, pixels=STRIP_PIXELS // 2)
@@ -328,19 +335,22 @@ class _Reconstruction:
         self, level: int, pool: np.ndarray, coarser: int | None, below: np.ndarray | None
     ) -> np.ndarray:
         """A coarser level, mixed with the next and filtered, ``(9, h, w)``."""
-        result = self._strips.workspace.array(f"level {level}", pool.shape)
         layout = level_layout(level, self._levels, self._rules.filters)
+        source, other = pool, self._strips.workspace.array(f"level {level}", pool.shape)
 
         def fill(rows: slice, out: np.ndarray) -> None:
-            out[:] = pool[:, rows]
+            out[:] = source[:, rows]
             if coarser is not None and below is not None:
                 self._mix(level, coarser, below, rows, out)
 
         def finish(rows: slice, planes: np.ndarray) -> None:
-            result[:, rows] = planes
+            other[:, rows] = planes
 
-        self._filter(level, _PLANES, layout.denoise, fill, finish)
-        return result
+        coarsest = level == self._levels - 1
+        for distance in self._rules.filters.coarsest_filters if coarsest else (1,):
+            self._filter(level, _PLANES, layout.denoise, fill, finish, distance)
+            source, other = other, source
+        return source
 
     def _mix(self, level: int, logit: int, below: np.ndarray, rows: slice, out: np.ndarray) -> None:
         """Mix rows of a level with the next coarser one, of twice its size."""

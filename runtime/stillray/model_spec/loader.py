@@ -400,9 +400,13 @@ class FeatureFilters(Decoder):
     scale: int  # pixels of the picture for one of the frame, along each axis: 1 or 2
     features: int  # of a pixel, that its filters compare with its neighbours'
     logit_bound: float  # features and logits are clipped to +- this, (0, 20]
+    # Distances, in pixels of the coarsest level, of the 3x3 filters that it goes through one after
+    # the other. Models that were exported before it was known have one.
+    coarsest_filters: tuple[int, ...] = (1,)
 
     def __post_init__(self) -> None:
         _within("decoder.scale", self.scale, 1, 2)
+        _each("decoder.coarsest_filters", self.coarsest_filters, 1, _MAX_WINDOW // 2)
         _within("decoder.features", self.features, 1, _MAX_FILTER_FEATURES)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, 20)
 

@@ -93,7 +93,10 @@ def reconstruct(
         maps, values = coarser[level - 1], pools[level - 1]
         if result is not None:
             values = _mixed(values, result, maps, own.coarser)
-        result = _filtered(values, maps, own.denoise)
+        distances = rules.filters.coarsest_filters if level == levels - 1 else (1,)
+        for distance in distances:
+            values = _filtered(values, maps, own.denoise, distance)
+        result = values
     if result is not None:
         planes = _mixed(planes, result, finest, layout.coarser)
     planes = _filtered(planes, finest, layout.denoise)
@@ -106,9 +109,9 @@ def reconstruct(
     return image, (light, albedo, specular)
 
 
-def _filtered(values: Tensor, maps: Tensor, planes: GaussianPlanes) -> Tensor:
+def _filtered(values: Tensor, maps: Tensor, planes: GaussianPlanes, distance: int = 1) -> Tensor:
     weight = maps[:, planes.importance : planes.importance + 1].exp()
-    return gaussian(values, maps[:, planes.features], weight, weight)
+    return gaussian(values, maps[:, planes.features], weight, weight, distance)
 
 
 def _accumulated(new: Tensor, past: Tensor, keep: Tensor, most: float) -> Tensor:

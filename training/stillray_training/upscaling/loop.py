@@ -21,7 +21,14 @@ from stillray.families.feature_filters import FeatureFiltersModel
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import Training
 from stillray_training.decoders.feature_filters import Remembered
-from stillray_training.losses import displayed, dissimilarity, per_patch, smape
+from stillray_training.losses import (
+    blur_error,
+    displayed,
+    dissimilarity,
+    per_patch,
+    slope_error,
+    smape,
+)
 from stillray_training.networks.multi_branch import multi_branch_net
 from stillray_training.run import Run, progress_bar, sequences_in
 from stillray_training.upscaling.clips import ClipSampler, Sample, load_clip
@@ -79,10 +86,15 @@ def frame_loss(
     exposed, wanted = image * frame["exposure"], frame["wanted"] * frame["exposure"]
     loss = smape(exposed, wanted, recipe.smape_epsilon)
     for albedo, name in ((after.albedo, "wanted_albedo"), (after.specular, "wanted_specular")):
-        error = (albedo[:, :3] - frame[name]).abs()
-        loss = loss + recipe.albedo_weight * per_patch(error)
+        loss = loss + recipe.albedo_weight * per_patch((albedo[:, :3] - frame[name]).abs())
     shown, right = displayed(exposed), displayed(wanted)
-    loss = loss + recipe.display_weight * per_patch((shown - right).abs())
+    error = shown - right
+    loss = loss + recipe.display_weight * per_patch(error.abs())
+    loss = loss + recipe.squared_weight * per_patch(error.square())
+    if recipe.slope_weight:
+        loss = loss + recipe.slope_weight * slope_error(error)
+    if recipe.blur_weight:
+        loss = loss + recipe.blur_weight * blur_error(error)
     return loss + recipe.structure_weight * dissimilarity(shown, right)
 
 
