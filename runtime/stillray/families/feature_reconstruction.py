@@ -12,8 +12,8 @@ leaves open, or does otherwise:
 - The partitioning pyramid (Balint et al. 2023): a pixel gives predicted shares of its light to the
   coarser levels, which are weighted means; from the coarsest on every level is mixed with the next,
   of twice its size, and filtered. So a filter smooths what was doubled, and ends it at edges. The
-  coarsest level may go through several filters, whose pixels lie further apart first: there, where a
-  pixel is 64, reach costs next to nothing.
+  coarsest level may go through several filters, whose pixels lie further apart first: there,
+  where a pixel is 64, reach costs next to nothing.
 - Light over diffuse albedo, over specular albedo, light as it is and this frame's light alone are
   composed by weights that add up to 1.
 

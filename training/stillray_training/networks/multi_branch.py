@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from stillray.families.filter_layout import target_layout
+from stillray.families.filter_layout import TargetLayout, target_layout
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import BranchNetwork, FeatureFilters
 from stillray.model_spec.network_outputs import network_outputs
@@ -26,7 +26,7 @@ _NOT_ALONE = -3.0  # logit of a frame's own light, before training
 _NOT_PAST = -1.0  # and of the last output
 
 
-class _Residual(nn.Module):
+class Residual(nn.Module):
     """What a block adds: two convolutions, of all channels or of the first half."""
 
     def __init__(self, width: int, network: BranchNetwork, *, partial: bool) -> None:
@@ -90,7 +90,7 @@ class MultiBranchBlock(nn.Module):
         self, width: int, guide_width: int, network: BranchNetwork, *, partial: bool
     ) -> None:
         super().__init__()
-        self.residual = _Residual(width, network, partial=partial)
+        self.residual = Residual(width, network, partial=partial)
         self.guide = _Guide(guide_width, network, partial=partial)
         self.merge = nn.Conv2d(guide_width, width, 1)
         with torch.no_grad():
@@ -120,11 +120,6 @@ class MultiBranchNet(nn.Module):
         self.radiance = len(network.radiance)
         wide, narrow = network.radiance_widths, network.guide_widths
         levels = range(len(wide))
-
-        def halving(inputs: int, widths: tuple[int, ...]) -> nn.ModuleList:
-            return nn.ModuleList(
-                nn.Conv2d(a, b, 2, stride=2) for a, b in pairwise((inputs, *widths))
-            )
 
         def blocks() -> nn.ModuleList:
             return nn.ModuleList(
@@ -157,8 +152,8 @@ class MultiBranchNet(nn.Module):
         for level in reversed(range(len(skips))):
             if level < len(skips) - 1:
                 skip, skip_guides = skips[level]
-                light = _doubled(self.rise[level](light)) + skip
-                guides = _doubled(self.rise_guides[level](guides)) + skip_guides
+                light = doubled(self.rise[level](light)) + skip
+                guides = doubled(self.rise_guides[level](guides)) + skip_guides
             light, guides = self.decode[level](light, guides)
             both = torch.cat([light, guides], 1)
             maps.append(self.heads[level + 1](both))
@@ -172,15 +167,26 @@ def multi_branch_net(spec: ModelSpec) -> MultiBranchNet:
     assert isinstance(network, BranchNetwork)
     assert isinstance(decoder, FeatureFilters)
     made = MultiBranchNet(network, [planes for planes, _ in network_outputs(spec)])
-    layout = target_layout(network.resolutions, decoder)
-    bias = made.heads[0].bias
+    start_heads(made.heads[0], target_layout(network.resolutions, decoder))
+    return made
+
+
+def start_heads(finest: nn.Module, layout: TargetLayout) -> None:
+    """Let the planes of the picture's pixels begin with little of this frame's light alone, and of
+    the last output."""
+    bias = finest.bias
     assert isinstance(bias, Tensor)
     with torch.no_grad():
         of_pixels = bias.view(layout.planes, 4)
         of_pixels[layout.compose.stop - 1] = _NOT_ALONE
         of_pixels[layout.output] = _NOT_PAST
-    return made
 
 
-def _doubled(planes_nchw: Tensor) -> Tensor:
+def halving(inputs: int, widths: tuple[int, ...]) -> nn.ModuleList:
+    """Convolutions of 2x2 pixels, 2 apart, from so many planes to each level's width."""
+    return nn.ModuleList(nn.Conv2d(a, b, 2, stride=2) for a, b in pairwise((inputs, *widths)))
+
+
+def doubled(planes_nchw: Tensor) -> Tensor:
+    """Every pixel four times."""
     return F.interpolate(planes_nchw, scale_factor=2.0, mode="nearest")

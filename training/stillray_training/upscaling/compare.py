@@ -32,8 +32,8 @@ from stillray_training.upscaling.enlarge import enlarge
 
 ENLARGED, TRACED = "{} + Lanczos", "{}, all pixels traced"
 OIDN = "oidn-high"
-_MEASURED = ("psnr", "ssim", "smape", "flip", "flicker")
-_PICTURES = 2
+MEASURED = ("psnr", "ssim", "smape", "flip", "flicker")
+PICTURES = 2
 
 
 def measure(
@@ -60,11 +60,11 @@ def measure(
     """
     frames = frames_of(sequence)
     paths = sorted(sequence.glob("target_*.exr")) or sorted(sequence.glob("ref_*.exr"))
-    references = [read_exr(path).color for path in paths[-_PICTURES:]]
+    references = [read_exr(path).color for path in paths[-PICTURES:]]
     (name, scale, ours), (title, _, first) = _denoised(model, frames), _denoised(flagship, frames)
     size = tuple(side * scale for side in frames[-1].shape)
-    if len(references) < _PICTURES or references[-1].shape[:2] != size:
-        raise InputError(f"{sequence}: the last {_PICTURES} frames must have references {size}")
+    if len(references) < PICTURES or references[-1].shape[:2] != size:
+        raise InputError(f"{sequence}: the last {PICTURES} frames must have references {size}")
     methods = {name: ours}
     for method, images in ((title, first), (OIDN, _oidn(frames))):
         methods[ENLARGED.format(method)] = [enlarge(image, scale) for image in images]
@@ -75,7 +75,7 @@ def measure(
         methods[TRACED.format(title)] = _denoised(flagship, traced)[2]
         methods[TRACED.format(OIDN)] = _oidn(traced)
     return {
-        method: metrics.evaluate(images, references, names=_MEASURED)
+        method: metrics.evaluate(images, references, names=MEASURED)
         for method, images in methods.items()
     }
 
@@ -84,14 +84,14 @@ def _denoised(model: str, frames: list[Frame]) -> tuple[str, int, list[np.ndarra
     """A model's name and scale, and its last pictures."""
     with Denoiser(model, threads=1) as denoiser:
         images = [denoiser.denoise(frame) for frame in frames]
-        return denoiser.model.name, denoiser.scale, images[-_PICTURES:]
+        return denoiser.model.name, denoiser.scale, images[-PICTURES:]
 
 
 def _oidn(frames: list[Frame]) -> list[np.ndarray]:
     """Open Image Denoise's last pictures."""
     return [
         open_image_denoise(frame.color, frame.albedo, frame.normal, "high")
-        for frame in frames[-_PICTURES:]
+        for frame in frames[-PICTURES:]
     ]
 
 

@@ -10,7 +10,7 @@ a third of the price.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -31,7 +31,7 @@ from stillray_training.losses import (
 )
 from stillray_training.networks.multi_branch import multi_branch_net
 from stillray_training.run import Run, progress_bar, sequences_in
-from stillray_training.upscaling.clips import ClipSampler, Sample, load_clip
+from stillray_training.upscaling.clips import Clip, ClipSampler, Sample, load_clip
 from stillray_training.upscaling.unroll import step as unrolled_step
 from stillray_training.upscaling.unroll import warped
 
@@ -125,6 +125,8 @@ def train_recurrent(
     *,
     start: str | Path | None = None,
     save_every: int = 200,
+    network: Callable[[ModelSpec], nn.Module] = multi_branch_net,
+    clips: Sequence[Clip] = (),
 ) -> nn.Module:
     """Train until the recipe's last step; resumes from ``out`` if it holds a checkpoint.
 
@@ -140,6 +142,11 @@ def train_recurrent(
         The same model to go on from, see `stillray_training.start`; None for random weights.
     save_every
         Steps between checkpoints.
+    network
+        Makes what learns.
+    clips
+        What `load_clips` gave for the same data, to several trainings; loaded here if there are
+        none.
 
     Raises
     ------
@@ -150,19 +157,31 @@ def train_recurrent(
     sequences = sequences_in(data)
     recipe = spec.training
     torch.manual_seed(recipe.seed)
-    network = multi_branch_net(spec)
-    run = Run(spec, network, sequences, out)
+    learner = network(spec)
+    run = Run(spec, learner, sequences, out)
     if start is not None:
         run.start_from(start)
+    sampler = ClipSampler(list(clips) or load_clips(data, spec), spec)
     with progress_bar() as progress:
-        clips = [
-            load_clip(sequence, spec, Strips(1))
-            for sequence in progress.track(sequences, description="load")
-        ]
-        sampler = ClipSampler(clips, spec)
         return run.finish(
-            lambda step: sequence_loss(network, sampler.batch(step), spec, step / recipe.steps),
+            lambda step: sequence_loss(learner, sampler.batch(step), spec, step / recipe.steps),
             progress,
             most_gradient=_MOST_GRADIENT,
             save_every=save_every,
         )
+
+
+def load_clips(data: list[Path], spec: ModelSpec) -> list[Clip]:
+    """The clips of all sequences of some folders.
+
+    Raises
+    ------
+    InputError
+        There are no finished sequences, or one lacks what the model learns from.
+    """
+    sequences = sequences_in(data)
+    with progress_bar() as progress:
+        return [
+            load_clip(sequence, spec, Strips(1))
+            for sequence in progress.track(sequences, description="load")
+        ]
