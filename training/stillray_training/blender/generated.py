@@ -15,7 +15,7 @@ from typing import Any
 import bpy
 from mathutils import Matrix, Vector
 
-from stillray_training.blender import licensed
+from stillray_training.blender import joinery, licensed
 from stillray_training.blender.materials import color, material
 from stillray_training.blender.parts import (
     Material,
@@ -80,22 +80,8 @@ def _room(place: Place) -> None:
     drawn = place.drawn
     width, depth, height = drawn.uniform(2.6, 6), drawn.uniform(3, 7), drawn.uniform(2.3, 3.4)
     walls = material(drawn, grain=1.5)
-    box((-0.1, -0.1, -0.1), (width + 0.1, depth + 0.1, 0), material(drawn, grain=1.5))
     ceiling = Material("ceiling", (0.8, 0.8, 0.78), Roughness=0.9)
-    box((-0.1, -0.1, height), (width + 0.1, depth + 0.1, height + 0.1), ceiling)
-    box((-0.1, 0, 0), (0, depth, height), walls)
-    box((-0.1, -0.1, 0), (width + 0.1, 0, height), walls)
-    other = walls if drawn.random() < 0.6 else material(drawn, grain=1.5)
-    sunny = drawn.random() < 0.7
-    if sunny and drawn.random() < 0.5:
-        _pierced(place, width, (depth, height), other, side=False)
-        box((width, 0, 0), (width + 0.1, depth, height), walls)
-    else:
-        box((-0.1, depth, 0), (width + 0.1, depth + 0.1, height), other)
-        if sunny:
-            _pierced(place, depth, (width, height), walls, side=True)
-        else:
-            box((width, 0, 0), (width + 0.1, depth, height), walls)
+    windows = _shell(place, (width, depth, height), walls, ceiling)
     _trim(place, width, depth)
     for _ in range(drawn.randint(3, 8)):
         at = (drawn.uniform(0.4, width - 0.4), drawn.uniform(0.8, depth - 0.3), 0.0)
@@ -104,9 +90,62 @@ def _room(place: Place) -> None:
         )
     for _ in range(drawn.randint(1, 5)):
         _picture(place, width, depth, height)
-    _room_lamps(place, width, depth, height, dark=not sunny)
+    _room_lamps(place, width, depth, height, dark=not windows)
     _look(place, (0.3, 0.3, 0.5), (width - 0.3, depth * 0.5, min(1.9, height - 0.3)),
           (0.2, depth * 0.6, 0.2), (width - 0.2, depth - 0.1, height * 0.7), (18, 50))  # fmt: skip
+
+
+def _panelled(place: Place) -> None:
+    """A room whose walls and joinery are painted alike, so that little but normals tells them."""
+    drawn = place.drawn
+    width, depth, height = drawn.uniform(2.6, 6), drawn.uniform(3, 7), drawn.uniform(2.3, 3.6)
+    walls = joinery.paint(drawn)
+    ceiling = walls if drawn.random() < 0.5 else joinery.paint(drawn)
+    windows = _shell(place, (width, depth, height), walls, ceiling)
+    joinery.fit_out(drawn, (width, depth, height), walls, windows)
+    for _ in range(drawn.randint(0, 5)):
+        at = (drawn.uniform(0.4, width - 0.4), drawn.uniform(0.8, depth - 0.3), 0.0)
+        drawn.choice((_table, _chair, _plant, _standing_lamp, _furniture, _tub))(place, at)
+    _room_lamps(place, width, depth, height, dark=not windows)
+    _look(place, (0.3, 0.3, 0.5), (width - 0.3, depth * 0.6, min(1.9, height - 0.3)),
+          (0.0, depth * 0.5, 0.2), (width, depth, height), (18, 70))  # fmt: skip
+
+
+def _tub(place: Place, at: Point) -> None:
+    """A white bowl with a thick rim, and folds in it."""
+    drawn, (x, y, z) = place.drawn, at
+    white = Material("enamel", (0.8, 0.8, 0.78), Roughness=drawn.uniform(0.1, 0.6))
+    broad, high, rim = drawn.uniform(0.3, 0.6), drawn.uniform(0.3, 0.6), drawn.uniform(0.02, 0.06)
+    turns = [math.pi * part / 8 for part in range(9)]
+    edge = [(broad + rim - rim * math.cos(t), high + rim * math.sin(t)) for t in turns]
+    inside = [(0, 0.08), (broad * 0.7, 0.1), (broad * 0.9, 0.2)]
+    bowl = lathe([*inside, *edge, (broad * 0.8, 0.0)], at, white)
+    bowl.scale = (1, drawn.uniform(1.0, 1.8), 1)
+    if drawn.random() < 0.6:
+        folds = add(_folds(drawn, broad * 1.2), white, (x, y, z + high * drawn.uniform(0.5, 0.9)))
+        folds.scale = (1, bowl.scale[1], 1)
+
+
+def _shell(place: Place, size: Point, walls: Material, ceiling: Material) -> str:
+    """Floor, ceiling and walls from (0, 0, 0) to ``size``; which has windows: back, right, none."""
+    drawn, (width, depth, height) = place.drawn, size
+    box((-0.1, -0.1, -0.1), (width + 0.1, depth + 0.1, 0), material(drawn, grain=1.5))
+    box((-0.1, -0.1, height), (width + 0.1, depth + 0.1, height + 0.1), ceiling)
+    box((-0.1, 0, 0), (0, depth, height), walls)
+    box((-0.1, -0.1, 0), (width + 0.1, 0, height), walls)
+    other = walls if drawn.random() < 0.6 else material(drawn, grain=1.5)
+    sunny = drawn.random() < 0.7
+    if sunny and drawn.random() < 0.5:
+        _pierced(place, width, (depth, height), other, side=False)
+        box((width, 0, 0), (width + 0.1, depth, height), walls)
+        return "back"
+    else:
+        box((-0.1, depth, 0), (width + 0.1, depth + 0.1, height), other)
+        if sunny:
+            _pierced(place, depth, (width, height), walls, side=True)
+        else:
+            box((width, 0, 0), (width + 0.1, depth, height), walls)
+    return "right" if sunny else ""
 
 
 def _pierced(
@@ -512,6 +551,7 @@ KINDS: dict[str, Callable[[Place], None]] = {
     "cycles_room": _room,
     "cycles_table": _tabletop,
     "cycles_outdoors": _outdoors,
+    "cycles_panelled": _panelled,
 }
 
 

@@ -23,6 +23,7 @@ FRAMES = 8
 BLOCKS = (1, 2, 4, 8, 16)  # samples a pixel of the blocks beside the last frame
 _BLOCK_SEED, _REFERENCE_SEED = 100, 1000  # no two files share their noise
 _ROOMS = 0.5  # share of the scenes that are rooms
+_PANELLED = 0.4  # and of those, of rooms full of painted joinery
 _BOX = 0.5  # share with a box filter, as other renderers have
 _TABLES = 0.6  # and of the others that are things on a table
 _NOISE = 0.01  # of a reference's pixel, at which it takes no more samples: Cycles' own
@@ -44,8 +45,13 @@ def render_scene(folder: Path, seed: int, given: argparse.Namespace) -> None:
         return
     drawn = random.Random(seed)
     others = 1 - given.rooms
-    odds = (given.rooms, others * _TABLES, others * (1 - _TABLES))
-    kind = drawn.choices(list(KINDS), odds)[0]
+    odds = {
+        "cycles_room": given.rooms * (1 - given.panelled),
+        "cycles_table": others * _TABLES,
+        "cycles_outdoors": others * (1 - _TABLES),
+        "cycles_panelled": given.rooms * given.panelled,
+    }
+    kind = drawn.choices(list(KINDS), [odds[name] for name in KINDS])[0]
     size = given.size
     scene = prepare((size, size))
     scene.cycles.filter_width = drawn.choice((1.5, 1.5, 1.5, 1.0, 2.0))
@@ -81,6 +87,9 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=192, help="width and height in pixels")
     parser.add_argument("--reference", type=int, default=512, help="most samples a pixel")
     parser.add_argument("--rooms", type=float, default=_ROOMS, help="share of scenes, [0, 1]")
+    parser.add_argument(
+        "--panelled", type=float, default=_PANELLED, help="of rooms, with joinery, [0, 1]"
+    )
     parser.add_argument("--box", type=float, default=_BOX, help="share with a box filter, [0, 1]")
     parser.add_argument("--assets", type=Path, help="folder of licensed objects")
     given = parser.parse_args()
