@@ -269,7 +269,8 @@ def _coffers(drawn: Random, size: Point, wood: Material) -> None:
         box((x - beam / 2, 0, height - deep), (x + beam / 2, depth, height), wood)
     for row in range(rows + 1):
         y = depth * row / rows
-        box((0, y - beam / 2, height - deep), (width, y + beam / 2, height), wood)
+        # not in one plane with the others
+        box((0, y - beam / 2, height - deep + _PROUD), (width, y + beam / 2, height), wood)
 
 
 def _rose(drawn: Random, size: Point, wood: Material) -> None:
