@@ -96,21 +96,25 @@ def test_an_asset_without_a_credit_is_refused(rendered, tmp_path):
     assert not find_sequences(tmp_path)
 
 
-@pytest.mark.skipif(
+in_blender = pytest.mark.skipif(
     not os.environ.get("STILLRAY_BLENDER_PYTHON"),
     reason="STILLRAY_BLENDER_PYTHON names no Python with bpy",
 )
+
+
+def render(folder, *options):
+    """The command that renders scenes, in Blender's Python."""
+    python = os.environ["STILLRAY_BLENDER_PYTHON"]
+    command = [python, "-m", "stillray_training.blender.sequences", str(folder), *options]
+    environment = {**os.environ, "PYTHONPATH": "training"}
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+
+@in_blender
 @pytest.mark.parametrize("seed", [0, 1])
 def test_blender_renders_a_scene_of_a_seed(tmp_path, seed):
     options = f"--count 1 --first-seed {seed} --size 24 --reference 4".split()
-    command = [
-        os.environ["STILLRAY_BLENDER_PYTHON"],
-        "-m",
-        "stillray_training.blender.sequences",
-        str(tmp_path),
-    ]
-    environment = {**os.environ, "PYTHONPATH": "training"}
-    subprocess.run([*command, *options], check=True, env=environment, capture_output=True)
+    assert render(tmp_path, *options).returncode == 0
     folder = tmp_path / f"{seed:05d}"
     take(folder, tmp_path / "data" / "one")
     frame = read_exr(tmp_path / "data" / "one" / "frame_0007.exr")
@@ -120,3 +124,27 @@ def test_blender_renders_a_scene_of_a_seed(tmp_path, seed):
     assert frame.depth.max() > 0
     # other seeds of noise, the same light
     assert np.abs(frame.color - reference.color).max() > 0
+
+
+@in_blender
+def test_painted_joinery_is_told_by_normals_alone(tmp_path):
+    options = ["--count", "1", "--first-seed", "15", "--size", "48", "--reference", "1", "--rooms", "1", "--panelled", "1"]
+    assert render(tmp_path, *options).returncode == 0
+    frame = read_exr(tmp_path / "00015" / "frame_0007.exr")
+    albedo, normal = np.round(frame.albedo, 1), np.round(frame.normal, 1)
+    paint = np.median(albedo.reshape(-1, 3), axis=0)
+    painted = (albedo == paint).all(-1)
+    ways, counts = np.unique(normal[painted], axis=0, return_counts=True)
+    # walls, and faces of mouldings that look elsewhere
+    assert len(ways) > 8
+    assert counts.max() < 0.9 * painted.sum()
+
+
+@in_blender
+def test_shares_are_shares(tmp_path):
+    for option in ("--rooms", "--panelled", "--box"):
+        done = render(tmp_path, option, "1.5")
+        assert done.returncode == 2
+        assert f"{option[2:]} must be 0 to 1, got 1.5" in done.stderr
+    assert "assets must be a folder" in render(tmp_path, "--assets", str(tmp_path / "no")).stderr
+    assert not list(tmp_path.iterdir())

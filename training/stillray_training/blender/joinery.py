@@ -31,7 +31,8 @@ def paint(drawn: Random) -> Material:
     bright, warm = drawn.uniform(0.5, 0.85), drawn.uniform(0.0, 0.12)
     tint = (bright, bright * (1 - warm / 2), bright * (1 - warm))
     if drawn.random() < 0.25:
-        tint = tuple(bright * drawn.uniform(0.5, 1.0) for _ in range(3))
+        red, green, blue = (bright * drawn.uniform(0.5, 1.0) for _ in range(3))
+        tint = (red, green, blue)
     return Material("paint", tint, Roughness=drawn.uniform(0.25, 0.9))
 
 

@@ -11,6 +11,7 @@ import argparse
 import json
 import random
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -29,8 +30,59 @@ _TABLES = 0.6  # and of the others that are things on a table
 _NOISE = 0.01  # of a reference's pixel, at which it takes no more samples: Cycles' own
 
 
-def render_scene(folder: Path, seed: int, given: argparse.Namespace) -> None:
-    """All files of one scene.
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What scenes are drawn from, and how they are rendered.
+
+    Attributes
+    ----------
+    size
+        Width and height, pixels.
+    reference
+        Most samples a pixel of references.
+    rooms, panelled, box
+        Shares, [0, 1]: of scenes that are rooms, of rooms full of painted joinery, and of scenes
+        rendered with a box filter.
+    assets
+        Folder of licensed objects; None for none.
+
+    Raises
+    ------
+    ValueError
+        One is out of its range.
+    """
+
+    size: int = 192
+    reference: int = 512
+    rooms: float = _ROOMS
+    panelled: float = _PANELLED
+    box: float = _BOX
+    assets: Path | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("size", "reference"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
+        for name in ("rooms", "panelled", "box"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} must be 0 to 1, got {getattr(self, name)}")
+        if self.assets is not None and not self.assets.is_dir():
+            raise ValueError(f"assets must be a folder, got {self.assets}")
+
+    def kind(self, drawn: random.Random) -> str:
+        """One of `KINDS`."""
+        others = 1 - self.rooms
+        odds = {
+            "cycles_room": self.rooms * (1 - self.panelled),
+            "cycles_table": others * _TABLES,
+            "cycles_outdoors": others * (1 - _TABLES),
+            "cycles_panelled": self.rooms * self.panelled,
+        }
+        return drawn.choices(list(KINDS), [odds[name] for name in KINDS])[0]
+
+
+def render_scene(folder: Path, seed: int, options: Options) -> None:
+    """All files of one scene, unless they are there.
 
     Parameters
     ----------
@@ -38,29 +90,22 @@ def render_scene(folder: Path, seed: int, given: argparse.Namespace) -> None:
         Where they go, made if missing.
     seed
         Of scene and settings.
-    given
-        Arguments of the command.
+    options
+        What is drawn.
     """
     if (folder / RECORD).exists():
         return
     drawn = random.Random(seed)
-    others = 1 - given.rooms
-    odds = {
-        "cycles_room": given.rooms * (1 - given.panelled),
-        "cycles_table": others * _TABLES,
-        "cycles_outdoors": others * (1 - _TABLES),
-        "cycles_panelled": given.rooms * given.panelled,
-    }
-    kind = drawn.choices(list(KINDS), [odds[name] for name in KINDS])[0]
-    size = given.size
+    kind = options.kind(drawn)
+    size = options.size
     scene = prepare((size, size))
     scene.cycles.filter_width = drawn.choice((1.5, 1.5, 1.5, 1.0, 2.0))
-    if random.Random(f"filter {seed}").random() < given.box:
+    if random.Random(f"filter {seed}").random() < options.box:
         scene.cycles.pixel_filter_type = "BOX"
     scene.cycles.sample_clamp_indirect = drawn.choice((10.0, 10.0, 3.0, 30.0))
     scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = drawn.random() < 0.5
     samples = drawn.choice((1, 1, 2, 4))
-    used = build(kind, seed, given.assets, FRAMES)
+    used = build(kind, seed, options.assets, FRAMES)
     last = FRAMES - 1
     for frame in range(FRAMES):
         render(folder / f"frame_{frame:04d}.exr", frame=frame, samples=samples, seed=frame)
@@ -68,10 +113,10 @@ def render_scene(folder: Path, seed: int, given: argparse.Namespace) -> None:
         path = folder / f"block_{index:02d}.exr"
         render(path, frame=last, samples=count, seed=_BLOCK_SEED + index)
     path = folder / f"ref_{last:04d}.exr"
-    render(path, frame=last, samples=given.reference, seed=_REFERENCE_SEED, noise=_NOISE)
+    render(path, frame=last, samples=options.reference, seed=_REFERENCE_SEED, noise=_NOISE)
     record = {
         "scene": kind, "seed": seed, "frames": FRAMES, "spp": samples, "blocks": BLOCKS,
-        "reference_spp": given.reference, "height": size, "width": size, "used": used,
+        "reference_spp": options.reference, "height": size, "width": size, "used": used,
         "filter": scene.cycles.pixel_filter_type, "clamp": scene.cycles.sample_clamp_indirect,
         "blender": bpy.app.version_string,
     }  # fmt: skip
@@ -80,27 +125,33 @@ def render_scene(folder: Path, seed: int, given: argparse.Namespace) -> None:
 
 def main() -> None:
     """Render scenes of consecutive seeds."""
+    usual = Options()
     parser = argparse.ArgumentParser(description="Render scenes to learn from with Cycles.")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--count", type=int, default=100, help="scenes")
     parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--size", type=int, default=192, help="width and height in pixels")
-    parser.add_argument("--reference", type=int, default=512, help="most samples a pixel")
-    parser.add_argument("--rooms", type=float, default=_ROOMS, help="share of scenes, [0, 1]")
+    parser.add_argument("--size", type=int, default=usual.size, help="width and height, pixels")
+    parser.add_argument("--reference", type=int, default=usual.reference, help="samples, at most")
+    parser.add_argument("--rooms", type=float, default=usual.rooms, help="share of scenes, [0, 1]")
     parser.add_argument(
-        "--panelled", type=float, default=_PANELLED, help="of rooms, with joinery, [0, 1]"
+        "--panelled", type=float, default=usual.panelled, help="of rooms, with joinery, [0, 1]"
     )
-    parser.add_argument("--box", type=float, default=_BOX, help="share with a box filter, [0, 1]")
+    parser.add_argument("--box", type=float, default=usual.box, help="with a box filter, [0, 1]")
     parser.add_argument("--assets", type=Path, help="folder of licensed objects")
-    given = parser.parse_args()
-    for seed in range(given.first_seed, given.first_seed + given.count):
-        folder = given.folder.resolve() / f"{seed:05d}"
-        if (folder / TAKEN).exists():
+    given = vars(parser.parse_args())
+    folder, count, first = (given.pop(name) for name in ("folder", "count", "first_seed"))
+    try:
+        options = Options(**given)
+    except ValueError as error:
+        parser.error(str(error))
+    for seed in range(first, first + count):
+        scene = folder.resolve() / f"{seed:05d}"
+        if (scene / TAKEN).exists():
             continue
-        render_scene(folder, seed, given)
-        left = shutil.disk_usage(folder).free
+        render_scene(scene, seed, options)
+        left = shutil.disk_usage(scene).free
         if left < 2 << 30:
-            raise SystemExit(f"{folder}: disk full but for {left >> 20} MiB")
+            raise SystemExit(f"{scene}: disk full but for {left >> 20} MiB")
 
 
 if __name__ == "__main__":
