@@ -128,8 +128,9 @@ def test_blender_renders_a_scene_of_a_seed(tmp_path, seed):
 
 @in_blender
 def test_painted_joinery_is_told_by_normals_alone(tmp_path):
-    options = ["--count", "1", "--first-seed", "15", "--size", "48", "--reference", "1", "--rooms", "1", "--panelled", "1"]
-    assert render(tmp_path, *options).returncode == 0
+    shares = ["--rooms", "1", "--panelled", "1"]
+    scene = ["--count", "1", "--first-seed", "15", "--size", "48", "--reference", "1"]
+    assert render(tmp_path, *scene, *shares).returncode == 0
     frame = read_exr(tmp_path / "00015" / "frame_0007.exr")
     albedo, normal = np.round(frame.albedo, 1), np.round(frame.normal, 1)
     paint = np.median(albedo.reshape(-1, 3), axis=0)
