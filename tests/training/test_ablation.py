@@ -202,6 +202,8 @@ def test_one_command_trains_scores_times_and_reports(tmp_path, monkeypatch):
     assert re.search(r"\| wskp-6 \| [\d.]+ ± [\d.]+ \| ", page)
     assert "Accumulation on and off" in page
     assert "2 seeds each" in page
+    written = re.search(r"`(python -m stillray_training\.ablation [^`]*)`", page).group(1)
+    assert "--seeds 2 --steps 20 --rounds 2 --height 20 --width 30 --only wskp-6 " in written
     assert "KP-fusion" not in page
     # of the first seed, with accumulation and without
     assert len(list((tmp_path / "pictures").glob("room-*.png"))) == 2

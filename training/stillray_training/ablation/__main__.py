@@ -8,6 +8,8 @@ page of what there is. ``--seeds 3`` trains each three times, and the page tells
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -61,7 +63,10 @@ def main(
         timed = [one for one in variants if one.name in TIMED and one.seed == 1]
         time_all(timed, out, (height, width), rounds)
     if report:
-        write_page(variants, read_results(variants, out), report, _COMMAND)
+        given = {
+            "seeds": seeds, "steps": steps, "rounds": rounds, "height": height, "width": width,
+        }  # fmt: skip
+        write_page(variants, read_results(variants, out), report, _command(given, only, report))
 
 
 def _chosen(variants: list[Variant], names: list[str] | None) -> list[Variant]:
@@ -73,10 +78,15 @@ def _chosen(variants: list[Variant], names: list[str] | None) -> list[Variant]:
     return [variant for variant in variants if not names or variant.name in names]
 
 
-_COMMAND = (
-    "python -m stillray_training.ablation --data DATA --validation VALIDATION --seeds 3 "
-    "--rounds 5 --out runs/ablation --report docs/ablations.md"
-)
+def _command(given: Mapping[str, int], only: list[str] | None, report: Path) -> str:
+    """What a reader calls for the same page; folders by what lies in them."""
+    numbers = " ".join(f"--{name} {value}" for name, value in given.items())
+    names = "".join(f" --only {shlex.quote(name)}" for name in only or ())
+    return (
+        "python -m stillray_training.ablation --data DATA --validation VALIDATION "
+        f"{numbers}{names} --out RUNS/{report.stem} --report {report.name}"
+    )
+
 
 if __name__ == "__main__":
     program.run(main)
