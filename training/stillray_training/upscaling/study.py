@@ -81,7 +81,8 @@ class Variant:
 
     def folder(self, out: Path) -> Path:
         """Where its checkpoint and scores lie."""
-        return out / f"{self.name.replace(' ', '-')}-seed-{self.seed}"
+        name = self.name.replace(",", "").replace(" ", "-")
+        return out / f"{name}-seed-{self.seed}"
 
     def trained(self, out: Path) -> nn.Module | None:
         """The network with its weights' mean, if its training is finished."""
