@@ -29,8 +29,8 @@ def test_one_branch_has_the_weights_of_two_and_gives_the_same_planes():
 
 
 def test_from_data_to_the_page(tmp_path, monkeypatch):
-    monkeypatch.setattr(study, "_SHORT", {"batch": 1, "patch": 16, "frames": 2, "warm_frames": 0})
-    monkeypatch.setattr(study, "_PICTURE", (16, 16))
+    monkeypatch.setattr(study, "SHORT", {"batch": 1, "patch": 16, "frames": 2, "warm_frames": 0})
+    monkeypatch.setattr(study, "PICTURE", (16, 16))
     render(tmp_path / "data" / "plane-0-0")
     render(tmp_path / "validation" / "plane-1-0")
     given = {"out": tmp_path / "out", "seeds": 2, "steps": 1, "threads": 1}

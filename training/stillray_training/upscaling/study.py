@@ -52,10 +52,11 @@ from stillray_training.upscaling.time_in_turn import times_in_turn
 BASE = "munet-x2"
 #: Channels of one branch that make as many weights as both branches have, 1 % apart.
 SINGLE_WIDTHS = (32, 64, 106)
-_PICTURE = (720, 1280)  # what network time and operations are of
+#: Height and width that network time and operations are of.
+PICTURE = (720, 1280)
 _SCORES, _TIMES = "scores.json", "times.json"
-# short, so that a training takes minutes of one core; the rest is the model's recipe
-_SHORT: dict[str, Any] = {"batch": 3, "patch": 80, "frames": 4, "warm_frames": 0, "average": 0.99}
+#: Short, so that a training takes minutes of one core; the rest is the model's recipe.
+SHORT: dict[str, Any] = {"batch": 3, "patch": 80, "frames": 4, "warm_frames": 0, "average": 0.99}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +104,7 @@ def variants(seeds: int, steps: int) -> list[Variant]:
             ("two branches, all channels", whole, multi_branch_net),
             ("one branch", base, partial(single_branch_net, widths=SINGLE_WIDTHS)),
         ):
-            training = dataclasses.replace(spec.training, **_SHORT, steps=steps, seed=seed)
+            training = dataclasses.replace(spec.training, **SHORT, steps=steps, seed=seed)
             short = dataclasses.replace(spec, training=training)
             found.append(Variant(name=name, network=network, spec=short, seed=seed))
     return found
@@ -154,13 +155,13 @@ def _networks(files: Mapping[str, Path]) -> dict[str, dict[str, float]]:
     for name, file in files.items():
         session = open_session(file, threads=available_threads())
         (source,) = session.get_inputs()
-        planes = np.zeros((1, source.shape[1], *_PICTURE), np.float32)
+        planes = np.zeros((1, source.shape[1], *PICTURE), np.float32)
         runs[name] = partial(_run, session, {source.name: planes})
     times = times_in_turn(runs, seconds=0, rounds=7)
     return {
         name: {
             "milliseconds": median(times[name]),
-            "gflop": network_cost(file, *_PICTURE).operations / 1e9,
+            "gflop": network_cost(file, *PICTURE).operations / 1e9,
         }
         for name, file in files.items()
     }
@@ -202,7 +203,7 @@ def page(study: Sequence[Variant], out: Path, command: str) -> str:
             cells.append(f"{value.mean:{metric.format}}{apart}")
         rows.append(f"| {name} | {' | '.join(cells)} |")
     recipe = study[0].spec.training
-    height, width = _PICTURE
+    height, width = PICTURE
     return (
         "# Branches and partial convolutions\n\n"
         f"Written by `{command}`. Kazmierczyk et al. 2025, tables 4 and 5, on our data: trained "
