@@ -346,8 +346,7 @@ class _Reconstruction:
         def finish(rows: slice, planes: np.ndarray) -> None:
             other[:, rows] = planes
 
-        coarsest = level == self._levels - 1
-        for distance in self._rules.filters.coarsest_filters if coarsest else (1,):
+        for distance in layout.distances:
             self._filter(level, _PLANES, layout.denoise, fill, finish, distance)
             source, other = other, source
         return source

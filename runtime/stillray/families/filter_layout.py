@@ -73,6 +73,8 @@ class LevelLayout:
     ----------
     denoise
         The filter of this level.
+    distances
+        From pixel to pixel of that filter's passes, in pixels of the level, one after the other.
     coarser
         Logit of what it takes of the next level; None at the coarsest.
     planes
@@ -80,6 +82,7 @@ class LevelLayout:
     """
 
     denoise: GaussianPlanes
+    distances: tuple[int, ...]
     coarser: int | None
     planes: int
 
@@ -115,5 +118,5 @@ def level_layout(level: int, levels: int, options: FeatureFilters) -> LevelLayou
     """The layout of a coarser level, 1 being the next to the picture's."""
     denoise = _gaussian(0, options)
     if level == levels - 1:
-        return LevelLayout(denoise, None, denoise.importance + 1)
-    return LevelLayout(denoise, denoise.importance + 1, denoise.importance + 2)
+        return LevelLayout(denoise, options.coarsest_filters, None, denoise.importance + 1)
+    return LevelLayout(denoise, (1,), denoise.importance + 1, denoise.importance + 2)

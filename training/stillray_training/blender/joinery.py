@@ -101,6 +101,11 @@ def moulded(
     if filled:
         last = 4 * (len(edges) - 1)
         faces.append((last, last + 1, last + 2, last + 3))
+    return _faceted(points, faces, material)
+
+
+def _faceted(points: list[Point], faces: list[tuple[int, ...]], material: Material) -> Any:
+    """A mesh of flat faces and smooth rounds."""
     mesh = bpy.data.meshes.new("moulding")
     mesh.from_pydata(points, [], faces)
     mesh.shade_smooth()
@@ -190,12 +195,10 @@ def _run(
 ) -> None:
     """A straight piece along a plane's first coordinate, its lower edge at the second."""
     points = [plane(u, at + x, rise) for x, rise in edges for u in along]
-    faces = [(2 * i, 2 * i + 1, 2 * i + 3, 2 * i + 2) for i in range(len(edges) - 1)]
-    mesh = bpy.data.meshes.new("rail")
-    mesh.from_pydata(points, [], faces)
-    mesh.shade_smooth()
-    mesh.set_sharp_from_angle(angle=_SHARP)
-    add(mesh, wood)
+    faces: list[tuple[int, ...]] = [
+        (2 * i, 2 * i + 1, 2 * i + 3, 2 * i + 2) for i in range(len(edges) - 1)
+    ]
+    _faceted(points, faces, wood)
 
 
 def _doors(drawn: Random, size: tuple[float, float], plane: Plane, wood: Material) -> None:

@@ -93,8 +93,7 @@ def reconstruct(
         maps, values = coarser[level - 1], pools[level - 1]
         if result is not None:
             values = _mixed(values, result, maps, own.coarser)
-        distances = rules.filters.coarsest_filters if level == levels - 1 else (1,)
-        for distance in distances:
+        for distance in own.distances:
             values = _filtered(values, maps, own.denoise, distance)
         result = values
     if result is not None:

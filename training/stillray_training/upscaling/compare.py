@@ -61,7 +61,7 @@ def measure(
     frames = frames_of(sequence)
     paths = sorted(sequence.glob("target_*.exr")) or sorted(sequence.glob("ref_*.exr"))
     references = [read_exr(path).color for path in paths[-PICTURES:]]
-    (name, scale, ours), (title, _, first) = _denoised(model, frames), _denoised(flagship, frames)
+    (name, scale, ours), (title, _, first) = denoised(model, frames), denoised(flagship, frames)
     size = tuple(side * scale for side in frames[-1].shape)
     if len(references) < PICTURES or references[-1].shape[:2] != size:
         raise InputError(f"{sequence}: the last {PICTURES} frames must have references {size}")
@@ -72,7 +72,7 @@ def measure(
         traced = frames_of(full / json.loads((sequence / RECORD).read_text())["scene"])
         if not traced or traced[-1].shape != size:
             raise InputError(f"full must hold {sequence.name}'s scene of {size}, got {full}")
-        methods[TRACED.format(title)] = _denoised(flagship, traced)[2]
+        methods[TRACED.format(title)] = denoised(flagship, traced)[2]
         methods[TRACED.format(OIDN)] = _oidn(traced)
     return {
         method: metrics.evaluate(images, references, names=MEASURED)
@@ -80,7 +80,7 @@ def measure(
     }
 
 
-def _denoised(model: str, frames: list[Frame]) -> tuple[str, int, list[np.ndarray]]:
+def denoised(model: str, frames: list[Frame]) -> tuple[str, int, list[np.ndarray]]:
     """A model's name and scale, and its last pictures."""
     with Denoiser(model, threads=1) as denoiser:
         images = [denoiser.denoise(frame) for frame in frames]

@@ -34,7 +34,6 @@ from stillray.io.exr.read_write import atomic_path, read_exr
 from stillray.model_spec import ModelSpec, load
 from stillray.model_spec.loader import BranchNetwork
 from stillray.models.session import open_session
-from stillray.pipeline.denoiser import Denoiser
 from stillray.profiling.cost import network_cost
 from stillray.profiling.machine import describe
 from stillray_training.ablation.results import Value
@@ -45,7 +44,7 @@ from stillray_training.networks.fuse import fuse
 from stillray_training.networks.multi_branch import multi_branch_net
 from stillray_training.networks.single_branch import single_branch_net
 from stillray_training.onnx_graph import network_graph
-from stillray_training.upscaling.compare import MEASURED, PICTURES
+from stillray_training.upscaling.compare import MEASURED, PICTURES, denoised
 from stillray_training.upscaling.loop import load_clips, train_recurrent
 from stillray_training.upscaling.time_in_turn import times_in_turn
 
@@ -142,9 +141,7 @@ def score_all(study: Sequence[Variant], validation: Path, out: Path) -> None:
 
 
 def _score(model: Path, sequence: Path) -> dict[str, float]:
-    frames = frames_of(sequence)
-    with Denoiser(model, threads=1) as denoiser:
-        images = [denoiser.denoise(frame) for frame in frames][-PICTURES:]
+    _, _, images = denoised(str(model), frames_of(sequence))
     references = [read_exr(path).color for path in sorted(sequence.glob("ref_*.exr"))[-PICTURES:]]
     return metrics.evaluate(images, references, names=MEASURED)
 
