@@ -446,6 +446,9 @@ class Training:
     # Whether the network's convolutions run so where the processor can: half the time, less exact
     bfloat16: bool = False
     still_share: float = 0.0  # share of patches of single frames of 2 to 32 samples a pixel, [0, 1]
+    # share of patches of a recurrent model that have neither jitter nor roughness nor specular
+    # albedo, as most renderers write them, [0, 1]
+    plain_share: float = 0.0
     frames: int = 1  # that a recurrent model is unrolled over
     warm_frames: int = 0  # most frames before those, which are run and not learned from
     weight_decay: float = 0.0  # decoupled, see `torch.optim.AdamW`; >= 0
@@ -462,7 +465,9 @@ class Training:
             "smape_weight", "filmic_weight",
         ):  # fmt: skip
             _within(f"training.{key}", getattr(self, key), 0, 1e3)
-        for key in ("quiet_power", "average", "still_share", "quiet_share", "drop_feature"):
+        for key in (
+            "quiet_power", "average", "still_share", "quiet_share", "drop_feature", "plain_share",
+        ):  # fmt: skip
             _within(f"training.{key}", getattr(self, key), 0, 1)
         for key in ("steps", "batch", "patch", "frames"):
             _within(f"training.{key}", getattr(self, key), 1, _MAX_COUNT)

@@ -6,6 +6,7 @@ import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from stillray.arrays.strips import Strips
@@ -14,7 +15,7 @@ from stillray.families.target_grid import Grid, dilated
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import FeatureFilters
+from stillray.model_spec.loader import FeatureFilters, Training
 from stillray.stages import features
 from stillray.stages.accumulate import bounded
 from stillray_training.blocks import frame_paths
@@ -93,14 +94,25 @@ def _reference(sequence: Path, number: int, frame: Frame, scale: int) -> Frame:
     if not path.is_file():
         raise InputError(f"{sequence}: every frame must have a reference, {path.name} is missing")
     reference = read_exr(path)
-    size = (frame.shape[0] * scale, frame.shape[1] * scale)
-    albedos = (reference.albedo, reference.specular_albedo)
-    if reference.shape != size or any(albedo is None for albedo in albedos):
-        raise InputError(f"{path}: must have albedo, specular_albedo and the size {size}")
+    height, width = size = (frame.shape[0] * scale, frame.shape[1] * scale)
+    larger = reference.shape[0] // height
+    fits = larger > 0 and reference.shape == (larger * height, larger * width)
+    if not fits or reference.albedo is None or reference.specular_albedo is None:
+        raise InputError(
+            f"{path}: must have albedo, specular_albedo and the size {size} or a multiple of it"
+        )
     target = sequence / f"target_{number:04d}.exr"
-    if target.is_file():
-        reference = replace(reference, color=read_exr(target).color)
-    return reference
+    color = read_exr(target).color if target.is_file() else reference.color
+
+    def mean(image: np.ndarray) -> np.ndarray:
+        # one rendered for a larger picture serves: a pixel is the mean of those that it covers
+        return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+
+    return Frame(
+        color=mean(color),
+        albedo=mean(reference.albedo),
+        specular_albedo=mean(reference.specular_albedo),
+    )
 
 
 class ClipSampler:
@@ -149,7 +161,7 @@ class ClipSampler:
         height, width = clip.frames[0].shape
         top = int(rng.integers(height - self._side + 1))
         left = int(rng.integers(width - self._side + 1))
-        change = _Change.drawn(rng, recipe.drop_feature, recipe.exposure_stops)
+        change = _Change.drawn(rng, recipe)
         return [self._sample(clip, at, (top, left), change) for at in range(first, first + count)]
 
     def _sample(self, clip: Clip, at: int, corner: tuple[int, int], change: _Change) -> Sample:
@@ -159,7 +171,7 @@ class ClipSampler:
         assert frame.motion is not None
         assert frame.jitter is not None
         motion = change.vectors(change.image(frame.motion[low]))
-        jitter = change.vectors(frame.jitter)
+        jitter = change.vectors(frame.jitter * np.float32("jitter" not in change.without))
         multiple = 1  # patches are of whole blocks already
         grid = Grid.of((self._side, self._side), self._scale, multiple, jitter)
         every = slice(0, grid.full[0])
@@ -198,10 +210,14 @@ class _Change:
     without: frozenset[str]
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, drop: float, stops: float) -> _Change:
-        """A random one; a feature is left out with the probability ``drop``."""
+    def drawn(cls, rng: np.random.Generator, recipe: Training) -> _Change:
+        """A random one of those of a recipe."""
         q, r = np.linalg.qr(rng.normal(size=(3, 3)))
         names = ("albedo", "specular", "normal", "roughness", "depth")
+        stops = recipe.exposure_stops
+        without = {name for name in names if rng.random() < recipe.drop_feature}
+        if recipe.plain_share and rng.random() < recipe.plain_share:
+            without |= {"jitter", "specular", "roughness"}
         return cls(
             transposed=bool(rng.integers(2)),
             mirrored=(bool(rng.integers(2)), bool(rng.integers(2))),
@@ -209,7 +225,7 @@ class _Change:
             gain=np.exp(rng.normal(size=3) * 0.15).astype(np.float32),
             rotation=(q * np.sign(np.diag(r))).astype(np.float32),
             exposure=float(2 ** rng.uniform(-stops, stops)),
-            without=frozenset(name for name in names if rng.random() < drop),
+            without=frozenset(without),
         )
 
     def image(self, image: np.ndarray) -> np.ndarray:
