@@ -9,6 +9,7 @@ import stillray
 from stillray.frame import Frame
 from stillray.models.registry import find_model
 from stillray_training.upscaling.enlarge import enlarge
+from tests.conftest import make_frame
 
 SIZE = (45, 70)
 SPEED = 0.35  # pixels a frame
@@ -109,6 +110,14 @@ def test_without_jitter_and_guides_it_still_denoises(fresh) -> None:
         image = fresh.denoise(Frame(color=given.color, motion=given.motion))
     assert psnr(image, wanted(3)) > noisy + 4
     assert np.isfinite(image).all()
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 4), (5, 3), (16, 2), (2, 16), (9, 14)])
+def test_every_size_is_doubled(fresh, size) -> None:
+    for seed in range(2):
+        image = fresh.denoise(make_frame(*size, seed))
+        assert image.shape == (2 * size[0], 2 * size[1], 3)
+        assert np.isfinite(image).all()
 
 
 @pytest.mark.parametrize("broken", [np.nan, np.inf, -1e30, 3e38, 0.0])

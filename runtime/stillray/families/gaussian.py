@@ -87,7 +87,7 @@ def gaussian(
         cv2.add(norms[first], norms[second], dst=alike)
         for plane in weights.features:
             cv2.accumulateProduct(plane[first], plane[second], alike)
-        cv2.max(alike, -MOST_DISTANCE, dst=alike)
+        np.maximum(alike, -MOST_DISTANCE, out=alike)
         cv2.exp(alike, dst=alike)
         for sign, left in ((1, beyond), (-1, across - beyond)):
             top = distance * down * (sign > 0)
@@ -115,9 +115,10 @@ def measured(features: np.ndarray, norms: np.ndarray) -> None:
     """
     norms.fill(0)
     for plane in features:
-        cv2.multiply(plane, _ROOT, dst=plane)
+        # not by OpenCV, which takes four rows of one pixel for a scalar, as in all it adds one to
+        plane *= _ROOT
         cv2.accumulateSquare(plane, norms)
-    cv2.multiply(norms, -0.5, dst=norms)
+    norms *= np.float32(-0.5)
 
 
 def framed(array: np.ndarray, filled: slice, margin: int) -> np.ndarray:

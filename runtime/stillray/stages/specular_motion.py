@@ -261,7 +261,7 @@ def _mirrors(surfaces: Surfaces, black: float, strips: Strips) -> np.ndarray:
 
     def work(blocks: slice) -> None:
         part = (slice(2 * blocks.start, 2 * blocks.stop), slice(0, 2 * half[1]))
-        hit = cv2.compare(_every_second(surfaces.depth[part]), 0, cv2.CMP_GT)
+        hit = 255 * np.greater(_every_second(surfaces.depth[part]), 0).view(np.uint8)
         dark = _is_black(_every_second(surfaces.albedo[part]), black)
         cv2.bitwise_and(dark, hit, dst=shows[blocks])
 
