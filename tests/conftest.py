@@ -89,10 +89,15 @@ def make_frame(height: int, width: int, seed: int = 0, shift: float = 0.0) -> Fr
     )
 
 
+class NotAccumulatedError(AssertionError):
+    """A model that does not accumulate as those of kernels do."""
+
+
 def remembered(denoiser: Denoiser) -> History:
     """What a model of kernels remembers of its last frame."""
     history = history_of(denoiser.state)
-    assert history is not None
+    if history is None:
+        raise NotAccumulatedError(denoiser.model.name)
     return history
 
 

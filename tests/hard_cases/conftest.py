@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import pytest
 
 import stillray
-from tests.hard_cases.catalogue import models_and_providers
+from tests.hard_cases.catalogue import OfFrameSize, models_and_providers
 
 
 @pytest.fixture(scope="module", params=models_and_providers(), ids="-".join)
 def denoiser(request: pytest.FixtureRequest) -> Iterator[stillray.Denoiser]:
     model, provider = request.param
-    with stillray.Denoiser(model, threads=1, providers=[provider]) as made:
+    with OfFrameSize(model, threads=1, providers=[provider]) as made:
         yield made
