@@ -213,6 +213,7 @@ LONG_SIGNATURES = {
     "stillray.mitsuba.Denoiser.__call__": "as Mitsuba's OptixDenoiser",
     "stillray.oidn.convenience.denoise": "as pyoidn's",
     "stillray.oidn.filter.Filter.set_image": "as pyoidn's",
+    "stillray.pipeline.denoiser.Denoiser.__init__": "by names, all but the model left out",
     "stillray.pipeline.denoiser.denoise": "the buffers of a frame, a name each",
 }
 

@@ -96,6 +96,13 @@ def test_changed_option_renders_all_anew(shot, capsys, change):
     assert len(written(run(capsys, *COMMAND, *change, "--resume"))) == FRAMES
 
 
+def test_a_shot_is_of_one_precision(shot, capsys):
+    command = (*COMMAND[:-1], "high")
+    assert len(written(run(capsys, *command, "--precision", "int8"))) == FRAMES
+    assert written(run(capsys, *command, "--precision", "int8", "--resume")) == []
+    assert len(written(run(capsys, *command, "--precision", "float32", "--resume"))) == FRAMES
+
+
 def test_options_that_change_no_pixel_render_nothing(shot, capsys):
     run(capsys, *COMMAND)
     assert (

@@ -10,6 +10,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from stillray.model_spec import load  # noqa: E402
+from stillray.models.precision import int8_path  # noqa: E402
 from stillray.models.registry import WHOLE_SUFFIX, find_model, list_models, read_model  # noqa: E402
 from stillray.models.session import open_session  # noqa: E402
 from stillray_export import parity, to_onnx  # noqa: E402
@@ -53,6 +54,7 @@ def exported(request, tmp_path_factory):
         spec, network=replace(spec.network, **network), decoder=replace(spec.decoder, **decoder)
     )
     network = FAMILIES[spec.family].network(spec)
+    int8_path(folder / f"{spec.name}.onnx").write_bytes(b"of the weights before")
     found = []
     check = parity.check  # many seconds a model, and the export does it: what it finds is kept
     with warnings.catch_warnings(), pytest.MonkeyPatch.context() as patch:
@@ -69,6 +71,10 @@ def test_exported_file_carries_its_spec_and_provenance(exported):
     assert info.scores == {"psnr": 1}
     assert info.parameters == sum(p.numel() for p in fuse(exported.network).parameters())
     assert b"/site-packages/" not in exported.path.read_bytes()
+
+
+def test_a_network_in_integers_of_the_weights_before_is_gone(exported):
+    assert not int8_path(exported.path).exists()
 
 
 def test_both_graphs_agree_with_the_network_at_every_size(exported):

@@ -63,5 +63,8 @@ def test_places_are_whole_numbers_of_one_kind():
     with pytest.raises(GraphError, match="must take a whole number for start"):
         interface_of(graph_of((0, 2, 1, 1), kinds))
     kinds[0] = onnx.TensorProto.INT32
-    with pytest.raises(WireError, match="its tensor start must hold float32"):
+    with pytest.raises(GraphError, match="must take a whole number for start"):
+        interface_of(graph_of((0, 2, 1, 1), kinds))
+    kinds[0] = onnx.TensorProto.INT16
+    with pytest.raises(WireError, match="its tensor start must hold float32, or integers"):
         graph_of((0, 2, 1, 1), kinds)

@@ -115,7 +115,7 @@ def test_percentiles_are_values_that_were_measured():
 
 def test_cuts_are_not_counted_as_warm_frames(monkeypatch):
     class Recorder:
-        temporal = True
+        temporal, precision = True, "float32"
 
         def __init__(self):
             self.model = find_model("fast")

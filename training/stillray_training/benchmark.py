@@ -219,7 +219,12 @@ def main(
             else []
         )
     results = [
-        Result(run=run, work=stage_costs(run.info, clip.frames[0]), peaks=peaks, memory=found)
+        Result(
+            run=run,
+            work=stage_costs(run.info, clip.frames[0], run.precision),
+            peaks=peaks,
+            memory=found,
+        )
         for run, found in zip(runs, ours, strict=True)
     ]
     pictures = []

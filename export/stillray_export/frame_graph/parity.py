@@ -101,7 +101,10 @@ def compared(
         light as `decibels` has it, of the rest the signal over the error. What a frame does not
         leave is absent.
     """
-    with Denoiser(graph, threads=1) as whole, Denoiser(info, threads=1) as stages:
+    with (
+        Denoiser(graph, threads=1) as whole,
+        Denoiser(info, threads=1, precision="float32") as stages,
+    ):
         for index, frame in enumerate(frames):
             if index in cuts:
                 whole.reset()

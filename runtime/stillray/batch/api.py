@@ -29,7 +29,7 @@ from stillray.io.channels.motion_detection import Detection
 from stillray.io.image_file import is_float_map
 from stillray.models.registry import DEFAULT_MODEL, ModelInfo
 from stillray.models.session import Provider
-from stillray.pipeline.opening import family_of_model, model_of
+from stillray.pipeline.opening import family_of_model, model_of, network_path
 
 #: Frames of a chunk unless told otherwise: twice as many as are run before it for its history.
 CHUNK_FRAMES = 64
@@ -70,6 +70,9 @@ class ShotOptions:
     providers
         ONNX Runtime execution providers, as `stillray.Denoiser` takes them, of each process;
         None for the CPU.
+    precision
+        Numbers that the network computes in, as `stillray.Denoiser` takes it. ``"auto"`` is
+        ``"float32"`` with a scheduler, whose machines may differ.
     max_memory
         Bytes that the process should stay below; None for whole frames. Of files with several
         views each takes its share.
@@ -97,6 +100,7 @@ class ShotOptions:
     resume: bool = False
     threads: int | None = None
     providers: tuple[Provider, ...] | None = None
+    precision: str = "auto"
     max_memory: int | None = None
     state: str | None = None
     workers: int | None = None
@@ -338,11 +342,12 @@ def plan_run(
     _check_outputs(jobs, layout, resume=options.resume)
     chosen, family = _opened(model, options)
     memory, cuts = _memory(family, options, len(jobs)), options.cuts and temporal
-    recipe = Recipe(
-        model=chosen.name,
-        model_digest=file_digest(chosen.path),
-        options={"temporal": temporal, "cuts": cuts, **layout.options()},
-    )
+    precision = _precision(chosen, options)
+    changing = {"temporal": temporal, "cuts": cuts, **layout.options()}
+    if precision != "float32":
+        changing["precision"] = precision
+    digest = file_digest(chosen.path)
+    recipe = Recipe(model=chosen.name, model_digest=digest, options=changing)
     done = [False] * len(jobs)
     if options.resume and (look or not options.in_chunks):
         done = finished(jobs, recipe, memory=memory, layers=layout.of_views)
@@ -355,6 +360,7 @@ def plan_run(
         cuts=cuts,
         threads=options.threads,
         providers=options.providers,
+        precision=precision,
         max_memory=options.max_memory,
         state=None if options.state is None else _state(options.state, chosen, family, layout),
     )
@@ -392,6 +398,13 @@ def _opened(name: str, options: ShotOptions) -> tuple[ModelInfo, Family]:
             f"aovs must not be given with {model.name}, which denoises the beauty alone"
         )
     return model, family
+
+
+def _precision(model: ModelInfo, options: ShotOptions) -> str:
+    """What every process of a run computes in: pictures of one shot have one rounding."""
+    apart = options.scheduler is not None and options.precision == "auto"
+    asked = "float32" if apart else options.precision
+    return "float32" if network_path(model, asked, options.providers) == model.path else "int8"
 
 
 def _state(name: str, model: ModelInfo, family: Family, layout: Layout) -> Path:

@@ -47,6 +47,8 @@ class ShotSettings:
         Of the denoiser; None for all that there are.
     providers
         Of the denoiser; None for the CPU.
+    precision
+        Of the denoiser.
     max_memory
         Bytes, see `stillray.Denoiser`.
     state
@@ -61,6 +63,7 @@ class ShotSettings:
     cuts: bool = True
     threads: int | None = None
     providers: tuple[Provider, ...] | None = None
+    precision: str = "float32"
     max_memory: int | None = None
     state: Path | None = None
 
@@ -101,6 +104,7 @@ class ShotSettings:
             model,
             threads=self.threads,
             providers=self.providers,
+            precision=self.precision,
             temporal=self.temporal,
             max_memory=most,
         ) as denoiser:

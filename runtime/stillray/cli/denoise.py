@@ -144,6 +144,13 @@ def denoise(
             "network; given a frame graph, NAME.frame.onnx, as model, all stages."
         ),
     ] = None,
+    precision: Annotated[
+        str,
+        typer.Option(
+            help="Numbers that the network computes in: float32; int8, where the model has it; "
+            "auto takes that on processors that are faster with it, but not with --scheduler."
+        ),
+    ] = "auto",
     max_memory: Annotated[
         str | None,
         typer.Option(
@@ -226,6 +233,7 @@ def denoise(
         resume=resume,
         threads=threads,
         providers=tuple(provider) if provider else None,
+        precision=precision,
         max_memory=None if max_memory is None else parse_memory(max_memory),
         state=state,
         workers=workers,

@@ -69,7 +69,7 @@ def interface_of(graph: Graph) -> Interface:
         It holds an operator, or a use of one, that no export of stillray writes, or is too large.
     """
     features, weights = _features(graph), _weights(graph)
-    known = {"features": Planes(features, 1)}
+    known, tensors = {"features": Planes(features, 1)}, dict(graph.tensors)
     work = 0.0
     for node in graph.nodes:
         rule = OPERATORS.get(node.operator)
@@ -77,9 +77,13 @@ def interface_of(graph: Graph) -> Interface:
             raise GraphError(
                 f"operators must be among {', '.join(OPERATORS)}, got {node.operator or 'none'}"
             )
-        if len(node.outputs) != 1 or node.outputs[0] in known or node.outputs[0] in graph.tensors:
+        if len(node.outputs) != 1 or node.outputs[0] in known or node.outputs[0] in tensors:
             raise GraphError(f"{node.operator} must give one tensor with a name of its own")
-        made, multiplications = rule(node, _Inputs(node, known, graph.tensors))
+        inputs = _Inputs(node, known, tensors)
+        if node.operator == _DEQUANTIZE and node.inputs and node.inputs[0] in tensors:
+            tensors[node.outputs[0]] = _dequantized(node, inputs)
+            continue
+        made, multiplications = rule(node, inputs)
         if made.count > MAX_PLANES:
             raise GraphError(f"{node.operator} gives {made.count} planes, more than {MAX_PLANES}")
         work += multiplications / made.reduction**2
@@ -149,6 +153,14 @@ class _Inputs:
         if self._tensors[name].dtype != np.float32:
             raise GraphError(f"{self._node.operator} must take {name} as float32")
         return self._tensors[name]
+
+    def integers(self, place: int) -> np.ndarray:
+        """A tensor of the file that holds integers of 8 or 32 bits."""
+        name = self._name(place)
+        found = self._tensors.get(name)
+        if found is None or found.dtype not in (np.uint8, np.int8, np.int32):
+            raise GraphError(f"{self._node.operator} must take {name} from the file, as integers")
+        return found
 
     def number(self, place: int) -> int:
         """A tensor of the file that holds one whole number."""
@@ -285,13 +297,43 @@ def _doubling(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
     return Planes(taken.count, taken.reduction // 2), 0.0
 
 
+def _in_steps(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
+    """Images to integers of 8 bits, or back: one scale and one zero for all planes."""
+    _only(node, 3, {"axis": None})
+    scale, zero = inputs.tensor(1), inputs.integers(2)
+    _require(node, scale.shape == () == zero.shape, "must have one scale for an image")
+    _require(node, float(scale) > 0, f"must have a scale above 0, got {float(scale)}")
+    _require(node, zero.dtype != np.int32, "must make integers of 8 bits of an image")
+    return inputs.planes(0), 0.0
+
+
+def _dequantized(node: Node, inputs: _Inputs) -> np.ndarray:
+    """Weights of a file as the numbers that their integers stand for: a scale for each output."""
+    _only(node, 3, {"axis": None})
+    given, scale, zero = inputs.integers(0), inputs.tensor(1), inputs.integers(2)
+    fits = scale.shape in ((), given.shape[:1]) and zero.shape == scale.shape
+    _require(
+        node, fits and zero.dtype == given.dtype, "must have a scale and a zero for each output"
+    )
+    _require(node, node.attributes.get("axis", 0) == 0, "must have axis 0")
+    along = (-1, *[1] * (given.ndim - 1)) if scale.shape else ()
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps = given.astype(np.float32) - zero.astype(np.float32).reshape(along)
+        numbers = steps * scale.reshape(along)
+    _require(node, bool(np.isfinite(numbers).all()), "must give finite numbers")
+    return np.asarray(numbers, np.float32)
+
+
+_DEQUANTIZE = "DequantizeLinear"
 OPERATORS: dict[str, _Rule] = {
     "Add": _add,
     "Clip": _clip,
     "Concat": _concatenation,
     "Conv": _convolution,
+    _DEQUANTIZE: _in_steps,
     "MaxPool": _pooling,
     "Mul": _product,
+    "QuantizeLinear": _in_steps,
     "Relu": _pointwise,
     "Resize": _doubling,
     "Sigmoid": _pointwise,

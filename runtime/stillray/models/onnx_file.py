@@ -3,8 +3,9 @@
 Whoever runs a model that somebody else made runs that person's data through a C++ library with
 many operators: loops that never end, constants that fold to gigabytes, tensors kept in other files.
 Here a file is taken apart by the protobuf wire format, without the onnx package, and refused unless
-it holds no more than `stillray-export` writes: one graph of nodes and float32 tensors that lie in
-the file itself. What the nodes may be says `stillray.models.network_graph`.
+it holds no more than `stillray-export` writes: one graph of nodes and tensors that lie in the file
+itself, float32 or, of a network of 8-bit integers, integers. What the nodes may be says
+`stillray.models.network_graph`.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from stillray.models.protobuf import MAX_VALUES, Field, Wire, WireError
 MAX_BYTES = 100 * 2**20
 MAX_NODES = 2000
 _FLOAT, _INT64 = 1, 7  # of TensorProto.DataType
+_QUANTIZED: dict[int, np.dtype[Any]] = {2: np.dtype("u1"), 3: np.dtype("i1"), 6: np.dtype("<i4")}
 _MOST_AXES = 8
 
 _text = partial(Field, kind="text")
@@ -119,7 +121,8 @@ class Graph:
     """Nodes in the order in which they run, and the tensors that come with them."""
 
     nodes: tuple[Node, ...]
-    # float32, finite; or int64 of one number, which says where to cut
+    # float32, finite; int64 of one number, which says where to cut; uint8, int8 and int32, which
+    # stand for other numbers
     tensors: Mapping[str, np.ndarray]
     inputs: tuple[Source, ...]
     outputs: tuple[str, ...]
@@ -247,8 +250,10 @@ def _tensor(wire: Wire, data: memoryview) -> tuple[str, np.ndarray]:
     name, shape = tensor.get("name", ""), tensor["dims"]
     if tensor.get("data_type") == _INT64:
         return name, _place(name, tensor)
+    if tensor.get("data_type") in _QUANTIZED:
+        return name, _integers(name, tensor, _QUANTIZED[tensor["data_type"]])
     if tensor.get("data_type") != _FLOAT:
-        raise WireError(f"its tensor {name} must hold float32")
+        raise WireError(f"its tensor {name} must hold float32, or integers of 8 or 32 bits")
     raw, listed = tensor.get("raw_data", memoryview(b"")), tensor["float_data"]
     size = len(raw) + 4 * len(listed)
     if len(shape) > _MOST_AXES or min(shape, default=1) < 1 or 4 * prod(shape) != size:
@@ -267,6 +272,15 @@ def _place(name: str, tensor: Mapping[str, Any]) -> np.ndarray:
     if list(tensor["dims"]) != [1] or len(raw) != 8 or tensor["float_data"]:
         raise WireError(f"its tensor {name} of int64 must hold one number")
     return np.frombuffer(raw, "<i8")
+
+
+def _integers(name: str, tensor: Mapping[str, Any], kind: np.dtype[Any]) -> np.ndarray:
+    """Numbers in steps of a scale that a node has beside them."""
+    raw, shape = tensor.get("raw_data", memoryview(b"")), tensor["dims"]
+    whole = prod(shape) * kind.itemsize == len(raw)
+    if len(shape) > _MOST_AXES or min(shape, default=1) < 1 or not whole or tensor["float_data"]:
+        raise WireError(f"its tensor {name} has not the size that it claims")
+    return np.frombuffer(raw, kind).reshape(shape)
 
 
 def _node(wire: Wire, data: memoryview) -> Node:

@@ -26,7 +26,7 @@ from stillray.model_spec.loader import ModelSpec
 from stillray.models.registry import DEFAULT_MODEL, ModelInfo
 from stillray.models.session import Provider, WatchedEngine
 from stillray.pipeline.layers import validated
-from stillray.pipeline.opening import engine_of_model, family_of_model, model_of
+from stillray.pipeline.opening import engine_of_model, family_of_model, model_of, network_path
 from stillray.pipeline.output import Target
 from stillray.pipeline.tiles import plan_tiles
 from stillray.pipeline.turns import Turns
@@ -56,11 +56,15 @@ class Denoiser:
         takes longer and differs by rounding. None for whole frames.
     engine
         Where the network runs, instead of ONNX Runtime on ``threads`` and ``providers``.
+    precision
+        In what numbers: ``"float32"``; ``"int8"``, integers of 8 bits; ``"auto"``, those if the
+        model has them and this processor multiplies them faster. Pictures differ by rounding: ask
+        for one where several machines make a shot.
 
     Raises
     ------
     InputError
-        Unknown model, provider or number of threads.
+        Unknown model, provider, precision or number of threads.
 
     Examples
     --------
@@ -83,6 +87,7 @@ class Denoiser:
         temporal: bool = True,
         max_memory: int | None = None,
         engine: Engine | None = None,
+        precision: str = "auto",
     ) -> None:
         threads = _checked_threads(threads)
         if isinstance(providers, str):
@@ -94,8 +99,12 @@ class Denoiser:
         #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
         self.last_timings: dict[str, float] = {}
         self._family = family_of_model(self.model, chosen, self.families)
+        #: In what numbers the network computes: ``"float32"`` or ``"int8"``.
+        self.precision = "float32"
+        if engine is None and network_path(self.model, precision, chosen) != self.model.path:
+            self.precision = "int8"
         #: Where the network runs.
-        self.engine: Engine = engine or engine_of_model(self.model, threads, chosen)
+        self.engine: Engine = engine or engine_of_model(self.model, threads, chosen, self.precision)
         self._owns_engine = engine is None
         self._turns = Turns()
         self._strips = Strips(threads)

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 from stillray.families.contract import Engine, Family
 from stillray.families.frame_graph import FrameGraphModel
 from stillray.families.registry import FAMILIES
 from stillray.model_spec.loader import ModelSpec
 from stillray.models.frame_session import FrameSession, device_of
+from stillray.models.precision import chosen
 from stillray.models.registry import (
     ModelInfo,
     find_frame_model,
     find_model,
     is_frame_graph,
+    require_fit,
     steps_of,
 )
-from stillray.models.session import Network, Provider, provider_names
+from stillray.models.session import Network, Provider, provider_names, read_checked
 
 Providers = tuple[Provider, ...] | None
 
@@ -64,15 +67,43 @@ def family_of_model(
     return FrameGraphModel(model.ports, where)
 
 
-def engine_of_model(model: ModelInfo, threads: int, providers: Providers) -> Engine:
+def engine_of_model(
+    model: ModelInfo, threads: int, providers: Providers, precision: str = "auto"
+) -> Engine:
     """Where a model's graphs run.
+
+    Parameters
+    ----------
+    model
+        From `model_of`.
+    threads, providers
+        As `stillray.Denoiser` takes them.
+    precision
+        See `stillray.models.precision.chosen`; of a frame graph that of its file.
 
     Raises
     ------
     InputError
-        Its file cannot be used, or a provider is not there.
+        Its file cannot be used, or a provider is not there, or there is no such precision of it.
     """
+    path = network_path(model, precision, providers)
     if model.ports is not None:
-        return FrameSession(model.path, threads=threads, providers=providers)
+        return FrameSession(path, threads=threads, providers=providers)
     steps = steps_of(model.family)
-    return Network(model.path, threads=threads, providers=providers, steps=steps)
+    if path != model.path:
+        require_fit(read_checked(path)[1], model.spec, path)
+    return Network(path, threads=threads, providers=providers, steps=steps)
+
+
+def network_path(model: ModelInfo, precision: str, providers: Providers = None) -> Path:
+    """The file that runs for a model, see `stillray.models.precision.chosen`; of a frame graph its
+    own.
+
+    Raises
+    ------
+    InputError
+        There is no such precision of it.
+    """
+    if model.ports is None or precision not in ("auto", "float32"):
+        return chosen(model.path, precision, providers)
+    return model.path

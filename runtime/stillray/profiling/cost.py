@@ -38,20 +38,25 @@ class Cost:
     Attributes
     ----------
     operations
-        Float32 operations; a multiply-add is two.
+        A multiply-add is two.
     bytes
         Read from and written to memory.
+    lanes
+        Operations that are done in the place of one of float32.
     """
 
     operations: float
     bytes: float
+    lanes: int = 1
 
     def roofline(self, peaks: PeakRates) -> float:
         """Milliseconds that a machine needs at least: for the dearer of both."""
-        return 1e3 * max(self.operations / peaks.operations, self.bytes / peaks.bandwidth)
+        return 1e3 * max(
+            self.operations / (self.lanes * peaks.operations), self.bytes / peaks.bandwidth
+        )
 
 
-def stage_costs(info: ModelInfo, frame: Frame) -> dict[str, Cost]:
+def stage_costs(info: ModelInfo, frame: Frame, precision: str = "float32") -> dict[str, Cost]:
     """The work of every stage that a frame with a past may call for, by its name in the timings.
 
     Parameters
@@ -61,6 +66,8 @@ def stage_costs(info: ModelInfo, frame: Frame) -> dict[str, Cost]:
         nor of a frame graph, whose stages are not told apart.
     frame
         Its size and the buffers that it holds count, not its values.
+    precision
+        Of the network: ``"float32"`` or ``"int8"``.
     """
     if info.ports is not None:
         return {}
@@ -75,6 +82,9 @@ def stage_costs(info: ModelInfo, frame: Frame) -> dict[str, Cost]:
         stages = _each_pixel(family, frame)
     else:
         return {}
+    if precision == "int8":
+        # four bytes in a lane of a float
+        network = Cost(operations=network.operations, bytes=network.bytes / 4, lanes=4)
     pixels = height * width
     return {
         "network": network,

@@ -172,7 +172,7 @@ def try_model(model: str) -> Finding:
     try:
         with Denoiser(model) as denoiser:
             clean = denoiser.denoise(Frame(color=np.full((16, 16, 3), 0.5)))
-            name = denoiser.model.name
+            name, precision = denoiser.model.name, denoiser.precision
     except InputError as error:
         return Finding(PROBLEM, f"{model} cannot be used: {error}: reinstall stillray")
     if not np.allclose(clean, 0.5, rtol=1e-3):
@@ -181,4 +181,5 @@ def try_model(model: str) -> Finding:
             f"{name} gives {clean.min():g} to {clean.max():g} for a frame of 0.5: reinstall "
             "onnxruntime, numpy and OpenCV",
         )
-    return Finding(OK, f"{name} denoises a frame")
+    numbers = "integers of 8 bits" if precision == "int8" else "32-bit floats"
+    return Finding(OK, f"{name} denoises a frame, its network in {numbers}")

@@ -84,6 +84,8 @@ class Run:
         The same of every later frame that had a past, the first few left out.
     files
         Milliseconds of reading and writing, a list each; they do not depend on the model.
+    precision
+        Of the network, see `stillray.Denoiser.precision`.
     """
 
     setting: Setting
@@ -94,6 +96,7 @@ class Run:
     first: dict[str, float]
     warm: list[dict[str, float]] = field(default_factory=list)
     files: dict[str, list[float]] = field(default_factory=dict)
+    precision: str = "float32"
 
     def stages(self) -> dict[str, Summary]:
         """Stage to its warm milliseconds, in order, files and `TOTAL` included.
@@ -144,6 +147,7 @@ def measure(
                 Run(
                     setting=setting,
                     info=denoiser.model,
+                    precision=denoiser.precision,
                     buffers=tuple(sorted(clip.frames[0].given)),
                     load=load,
                     load_busy=load_busy,

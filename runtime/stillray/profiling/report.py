@@ -36,6 +36,7 @@ def _run(result: Result) -> dict[str, Any]:
     return {
         **asdict(run.setting),
         "model": run.info.name,
+        "precision": run.precision,
         "buffers": list(run.buffers),
         "peaks": asdict(result.peaks),
         "memory_mib": None if result.memory is None else asdict(result.memory),
@@ -101,6 +102,8 @@ def remarks(result: Result) -> list[str]:
     if run.info.ports is not None:
         lines.append(describe_graph(run.info.operators, run.info.size_bytes))
         return lines  # of a graph whose stages are not told apart there is no roofline
+    if run.precision == "int8":
+        lines.append("the network computes in integers of 8 bits, four in the place of a float")
     lines.append(
         f"roofline: the slower of operations at {peaks.operations / 1e9:.0f} GFLOP/s (matrix "
         f"product) and bytes at {peaks.bandwidth / 1e9:.1f} GB/s (copy), measured here; {REST} is "

@@ -87,7 +87,7 @@ def profile_settings(
         progress(f"{width} x {height}: first frames")
         found = measure(group, clip, seconds / len(sizes), progress=of_frame)
         runs += found
-        work += [stage_costs(run.info, clip.frames[0]) for run in found]
+        work += [stage_costs(run.info, clip.frames[0], run.precision) for run in found]
     progress("memory")
     memories = measure_memory(settings, source) if memory else [None] * len(runs)
     return [

@@ -80,7 +80,7 @@ class Graph:
 
 def alone(frame):
     """A frame without a past, as the runtime has it."""
-    with stillray.Denoiser(NAME, threads=1) as denoiser:
+    with stillray.Denoiser(NAME, threads=1, precision="float32") as denoiser:
         return denoiser.denoise(frame)
 
 
@@ -93,7 +93,7 @@ def decibels(got, wanted):
 def test_eight_frames_with_all_that_goes_wrong_are_the_runtimes(exported, name, size):
     graph = exported(name)
     graph.cut()
-    with stillray.Denoiser(name, threads=1) as denoiser:
+    with stillray.Denoiser(name, threads=1, precision="float32") as denoiser:
         for frame in sequence(8, *size):
             got, wanted = graph(frame), denoiser.denoise(frame)
             assert got.shape == wanted.shape
@@ -117,13 +117,13 @@ def _only(*names):
     ids=["color", "motion", "no depth", "depth", "samples"],
 )
 def test_buffers_that_are_left_out_are_left_out(graph, part):
-    with stillray.Denoiser(NAME, threads=1) as denoiser:
+    with stillray.Denoiser(NAME, threads=1, precision="float32") as denoiser:
         for frame in map(part, sequence(3, 40, 50)):
             assert decibels(graph(frame), denoiser.denoise(frame)) > PARITY
 
 
 def test_pixels_without_samples_are_filled_in(graph):
-    with stillray.Denoiser(NAME, threads=1) as denoiser:
+    with stillray.Denoiser(NAME, threads=1, precision="float32") as denoiser:
         for index, frame in enumerate(sequence(3, 40, 50)):
             samples = np.random.default_rng(index).choice([0, 1, 8, np.nan], frame.shape)
             given = _only("albedo", "motion")(frame)

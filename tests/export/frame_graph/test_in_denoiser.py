@@ -73,7 +73,7 @@ def decibels(got, wanted):
 
 
 def test_a_sequence_with_a_cut_is_that_of_the_stages(denoiser):
-    with stillray.Denoiser(NAME, threads=1) as stages:
+    with stillray.Denoiser(NAME, threads=1, precision="float32") as stages:
         for index, frame in enumerate(sequence(CUT + 2, 33, 47)):
             if index == CUT:
                 denoiser.reset()
@@ -123,7 +123,7 @@ def test_a_state_that_was_kept_gives_the_same_picture_again(denoiser):
 def test_what_a_frame_lacks_and_what_begins_anew(path, denoiser):
     first, second = sequence(2, 25, 30)
     flat = Frame(color=first.color, motion=first.motion, samples=4)
-    with stillray.Denoiser(NAME, threads=1) as stages:
+    with stillray.Denoiser(NAME, threads=1, precision="float32") as stages:
         assert decibels(denoiser.denoise(flat), stages.denoise(flat)) > PARITY
         (stage,) = denoiser.stages(second)
         assert "normal or depth were given in one" in stage.reason

@@ -58,7 +58,7 @@ def planes_of(frame, color):
 def alone(name, frame):
     """The runtime's picture of a frame without a past; depth does not reach a spatial host."""
     given = Frame(color=frame.color, albedo=frame.albedo, normal=frame.normal)
-    with stillray.Denoiser(name, threads=1, temporal=False) as denoiser:
+    with stillray.Denoiser(name, threads=1, precision="float32", temporal=False) as denoiser:
         return denoiser.denoise(given)
 
 

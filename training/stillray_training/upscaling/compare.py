@@ -33,6 +33,7 @@ from stillray_training.upscaling.enlarge import enlarge
 ENLARGED, TRACED = "{} + Lanczos", "{}, all pixels traced"
 OIDN = "oidn-high"
 MEASURED = ("psnr", "ssim", "smape", "flip", "flicker")
+SEEN = (*MEASURED, "cvvdp")  # and what eyes would make of it, which takes a second a picture
 PICTURES = 2
 
 
@@ -75,7 +76,7 @@ def measure(
         methods[TRACED.format(title)] = denoised(flagship, traced)[2]
         methods[TRACED.format(OIDN)] = _oidn(traced)
     return {
-        method: metrics.evaluate(images, references, names=MEASURED)
+        method: metrics.evaluate(images, references, names=SEEN)
         for method, images in methods.items()
     }
 

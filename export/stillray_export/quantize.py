@@ -1,0 +1,165 @@
+"""``python -m stillray_export.quantize kpyr-5 --data DATA``: its network in integers of 8 bits.
+
+``NAME.int8.onnx`` is written beside ``NAME.onnx``. Convolutions of 8-bit integers are half as dear
+where a processor has instructions for them (`stillray.models.precision`), and a plane that is kept
+between them is a quarter of the bytes. What the network gives are logits of weights, whose mean
+stays a mean however they are rounded.
+
+Scales are those of the frames in DATA: sequences that a model was trained on, never what it is
+measured on. Made by ONNX Runtime's own quantisation: a scale for each output of a convolution, one
+for each image, the least to the greatest value that was met.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import onnx
+import typer
+from onnx import numpy_helper
+from onnxruntime.quantization import (
+    CalibrationDataReader,
+    CalibrationMethod,
+    QuantFormat,
+    QuantType,
+    quantize_static,
+)
+
+from stillray.cli import program
+from stillray.errors import InputError
+from stillray.families.contract import Engine
+from stillray.frame import Frame
+from stillray.io.exr.read_write import atomic_path
+from stillray.models.precision import floats_of, int8_path
+from stillray.models.registry import ModelInfo, find_model, require_fit
+from stillray.models.session import checked
+from stillray.pipeline.denoiser import Denoiser
+from stillray.pipeline.opening import engine_of_model
+from stillray_training.blocks import frames_of, mean_frame, read_blocks
+from stillray_training.run import sequences_in
+
+#: Operators that take and give integers; what else there is stays float32.
+OPERATORS = ("Add", "Clip", "Concat", "Conv", "MaxPool", "Mul", "Relu", "Resize", "Slice")
+
+
+def quantized(model: Path, features: Sequence[np.ndarray]) -> onnx.ModelProto:
+    """A network in integers.
+
+    Parameters
+    ----------
+    model
+        The .onnx file of a network of floats.
+    features : (1, features, h, w) float32 each
+        What it is to be given: scales fit to what it makes of these.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / "int8.onnx"
+        quantize_static(
+            model,
+            made,
+            _Features(features),
+            quant_format=QuantFormat.QDQ,
+            activation_type=QuantType.QUInt8,
+            weight_type=QuantType.QInt8,
+            per_channel=True,
+            op_types_to_quantize=list(OPERATORS),
+            calibrate_method=CalibrationMethod.Percentile,
+            extra_options={"CalibPercentile": 99.999},
+        )
+        found = onnx.load(made)
+    for tensor in found.graph.initializer:
+        # one way to hold numbers, which the runtime reads
+        tensor.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(tensor), tensor.name))
+    del found.graph.value_info[:]
+    told = {entry.key: entry.value for entry in onnx.load(model).metadata_props}
+    del found.metadata_props[:]
+    onnx.helper.set_model_props(found, {**told, **floats_of(model)})
+    return found
+
+
+class _Features(CalibrationDataReader):  # type: ignore[misc]
+    """What ONNX Runtime asks for, one after the other."""
+
+    def __init__(self, features: Sequence[np.ndarray]) -> None:
+        self._left = iter(features)
+
+    def get_next(self) -> dict[str, np.ndarray] | None:
+        given = next(self._left, None)
+        return None if given is None else {"features": given}
+
+
+class _Listening(Engine):
+    """Runs a network, and keeps what it was given last."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self.given: np.ndarray | None = None
+
+    def run(self, graph: str, inputs: Any) -> dict[str, Any]:
+        """As the engine's own."""
+        self.given = np.array(inputs["features"])
+        return self._engine.run(graph, inputs)
+
+    def close(self) -> None:
+        """As the engine's own."""
+        self._engine.close()
+
+
+def features_of(model: ModelInfo, sequence: Path) -> Iterator[np.ndarray]:
+    """What a model's network is given of a sequence: the first, second and last frame, and a still.
+
+    Parameters
+    ----------
+    model
+        The model.
+    sequence
+        As `stillray_training.simulate` writes them. Where its last frame comes in blocks of
+        samples, the still is of all but the largest.
+    """
+    frames = frames_of(sequence)
+    if not frames:
+        raise InputError(f"{sequence}: must hold frames, frame_0000.exr and on")
+    engine = _Listening(engine_of_model(model, 1, None, "float32"))
+    with closing(engine), Denoiser(model, threads=1, engine=engine) as denoiser:
+        for index, frame in enumerate([*frames, *_still(sequence, frames[-1])]):
+            if index == len(frames):
+                denoiser.reset()
+            denoiser.denoise(frame)
+            if index in (0, 1) or index >= len(frames) - 1:
+                assert engine.given is not None
+                yield engine.given
+
+
+def _still(sequence: Path, last: Frame) -> list[Frame]:
+    blocks = read_blocks(sequence, last, 1.0)
+    return [mean_frame(blocks[:-1])] if len(blocks) > 1 else []
+
+
+def main(
+    model: Annotated[str, typer.Argument(help="The model, or the path of its .onnx file.")],
+    data: Annotated[list[Path], typer.Option(help="Folder of sequences; repeatable.")],
+    most: Annotated[int, typer.Option(min=1, help="Sequences of each folder at most.")] = 24,
+) -> None:
+    """Write the network of a model in integers of 8 bits beside it."""
+    info = find_model(model)
+    features: list[np.ndarray] = []
+    for folder in data:
+        sequences = sequences_in([folder])
+        for sequence in sequences[:: -(-len(sequences) // most)]:
+            features += features_of(info, sequence)
+    made = quantized(info.path, features).SerializeToString()
+    path = int8_path(info.path)
+    # what the runtime would refuse is found here, not by who runs the model
+    require_fit(checked(made, path)[1], info.spec, path)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(made)
+    print(f"{path}: of {len(features)} frames")
+
+
+if __name__ == "__main__":
+    program.run(main)

@@ -1,0 +1,43 @@
+"""A network in integers of 8 bits computes what it did in floats, to their rounding."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from stillray.models.precision import chosen, int8_path  # noqa: E402
+from stillray.models.registry import SPEC_KEY, find_model  # noqa: E402
+from stillray.models.session import open_session, read_checked  # noqa: E402
+from stillray_export.quantize import features_of, quantized  # noqa: E402
+
+ROOM = Path(__file__).parents[1] / "data" / "room"
+
+
+def test_integers_compute_what_floats_do_and_know_their_file(tmp_path, rng):
+    model = find_model("wskp-3s")
+    features = [rng.random((1, len(model.spec.network.features), 32, 48), np.float32)] * 2
+    copied = tmp_path / "small.onnx"
+    copied.write_bytes(model.path.read_bytes())
+    integers = int8_path(copied)
+    integers.write_bytes(quantized(copied, features).SerializeToString())
+    assert chosen(copied, "int8", None) == integers
+    file, interface = read_checked(integers)
+    assert interface.outputs == model.interface.outputs
+    assert json.loads(file.metadata[SPEC_KEY])["name"] == "wskp-3s"
+    assert file.graph.tensors["network.blocks.0.0.weight_quantized"].dtype == np.int8
+    of_floats, of_integers = (
+        open_session(path, threads=1).run(None, {"features": features[0]})[0]
+        for path in (copied, integers)
+    )
+    step = np.ptp(of_floats) / 255
+    assert 0 < np.abs(of_integers - of_floats).mean() < 3 * step
+
+
+def test_scales_are_of_first_second_and_last_frames():
+    seen = list(features_of(find_model("kpyr-5s"), ROOM))
+    assert [array.shape[:2] for array in seen] == [(1, 10)] * 3
