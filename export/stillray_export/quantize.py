@@ -124,7 +124,7 @@ def features_of(model: ModelInfo, sequence: Path) -> Iterator[np.ndarray]:
     frames = frames_of(sequence)
     if not frames:
         raise InputError(f"{sequence}: must hold frames, frame_0000.exr and on")
-    engine = _Listening(engine_of_model(model, 1, None, "float32"))
+    engine = _Listening(engine_of_model(model, 1, None))
     with closing(engine), Denoiser(model, threads=1, engine=engine) as denoiser:
         for index, frame in enumerate([*frames, *_still(sequence, frames[-1])]):
             if index == len(frames):

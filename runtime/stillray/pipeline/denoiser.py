@@ -99,12 +99,12 @@ class Denoiser:
         #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
         self.last_timings: dict[str, float] = {}
         self._family = family_of_model(self.model, chosen, self.families)
-        #: In what numbers the network computes: ``"float32"`` or ``"int8"``.
-        self.precision = "float32"
-        if engine is None and network_path(self.model, precision, chosen) != self.model.path:
-            self.precision = "int8"
+        network = network_path(self.model, precision, chosen)
+        #: In what numbers the network computes, unless ``engine`` was given: ``"float32"`` or
+        #: ``"int8"``.
+        self.precision = "float32" if network == self.model.path else "int8"
         #: Where the network runs.
-        self.engine: Engine = engine or engine_of_model(self.model, threads, chosen, self.precision)
+        self.engine: Engine = engine or engine_of_model(self.model, threads, chosen, network)
         self._owns_engine = engine is None
         self._turns = Turns()
         self._strips = Strips(threads)

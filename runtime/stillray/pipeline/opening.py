@@ -68,7 +68,7 @@ def family_of_model(
 
 
 def engine_of_model(
-    model: ModelInfo, threads: int, providers: Providers, precision: str = "auto"
+    model: ModelInfo, threads: int, providers: Providers, network: Path | None = None
 ) -> Engine:
     """Where a model's graphs run.
 
@@ -78,18 +78,17 @@ def engine_of_model(
         From `model_of`.
     threads, providers
         As `stillray.Denoiser` takes them.
-    precision
-        See `stillray.models.precision.chosen`; of a frame graph that of its file.
+    network
+        From `network_path`; None for the model's own.
 
     Raises
     ------
     InputError
-        Its file cannot be used, or a provider is not there, or there is no such precision of it.
+        Its file cannot be used, or a provider is not there.
     """
-    path = network_path(model, precision, providers)
     if model.ports is not None:
-        return FrameSession(path, threads=threads, providers=providers)
-    steps = steps_of(model.family)
+        return FrameSession(model.path, threads=threads, providers=providers)
+    steps, path = steps_of(model.family), network or model.path
     if path != model.path:
         require_fit(read_checked(path)[1], model.spec, path)
     return Network(path, threads=threads, providers=providers, steps=steps)
