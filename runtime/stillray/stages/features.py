@@ -13,7 +13,8 @@ from stillray.arrays.strips import planes_of
 from stillray.arrays.workspace import Workspace
 from stillray.model_spec.loader import Temporal, Transfer
 
-_REC709 = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
+#: Shares of red, green and blue in luminance.
+REC709 = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
 _ALBEDO = ("albedo.r", "albedo.g", "albedo.b")
 _NORMAL = ("normal.x", "normal.y", "normal.z")
 _PREVIOUS = ("previous.r", "previous.g", "previous.b")
@@ -31,12 +32,12 @@ def luminance(irradiance: np.ndarray, out: np.ndarray | None = None) -> np.ndarr
     """Rec. 709 luminance of an ``(h, w, 3)`` image, or of ``(h, w, 4)`` irradiance and samples."""
     if irradiance.shape[2] == 4:  # of three channels OpenCV transforms several pixels at once
         irradiance = cv2.cvtColor(irradiance, cv2.COLOR_RGBA2RGB)
-    return cv2.transform(irradiance, _REC709, dst=out)
+    return cv2.transform(irradiance, REC709, dst=out)
 
 
 def luminance_of_planes(planes: np.ndarray | Sequence[np.ndarray], out: np.ndarray) -> np.ndarray:
     """`luminance` of ``(3 or more, h, w)`` into ``out`` of ``(h, w)``."""
-    red, green, blue = map(float, _REC709[0])
+    red, green, blue = map(float, REC709[0])
     cv2.addWeighted(planes[0], red, planes[1], green, 0, dst=out)
     return cv2.scaleAdd(planes[2], blue, out, dst=out)
 

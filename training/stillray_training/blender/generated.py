@@ -139,13 +139,12 @@ def _shell(place: Place, size: Point, walls: Material, ceiling: Material) -> str
         _pierced(place, width, (depth, height), other, side=False)
         box((width, 0, 0), (width + 0.1, depth, height), walls)
         return "back"
-    else:
-        box((-0.1, depth, 0), (width + 0.1, depth + 0.1, height), other)
-        if sunny:
-            _pierced(place, depth, (width, height), walls, side=True)
-        else:
-            box((width, 0, 0), (width + 0.1, depth, height), walls)
-    return "right" if sunny else ""
+    box((-0.1, depth, 0), (width + 0.1, depth + 0.1, height), other)
+    if sunny:
+        _pierced(place, depth, (width, height), walls, side=True)
+        return "right"
+    box((width, 0, 0), (width + 0.1, depth, height), walls)
+    return ""
 
 
 def _pierced(

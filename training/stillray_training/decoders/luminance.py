@@ -7,7 +7,7 @@ from torch import Tensor
 from stillray.stages import features as runtime
 
 # the runtime's numbers, so that there is one place for them
-_RED, _GREEN, _BLUE = map(float, runtime._REC709[0])
+_RED, _GREEN, _BLUE = map(float, runtime.REC709[0])
 
 
 def luminance(planes_nchw: Tensor) -> Tensor:
