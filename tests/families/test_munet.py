@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -136,3 +138,18 @@ def test_broken_samples_do_not_spread(fresh, broken: float) -> None:
     error[24:60, 44:82] = 0
     assert error[8:-8, 8:-8].mean() < 0.12
     assert image.max() < 300
+
+
+@pytest.mark.parametrize("model", ["munet-x1", "munet-x2"])
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_light_that_is_switched_is_followed(model, factor) -> None:
+    with stillray.Denoiser(model, threads=1) as denoiser:
+        for number in range(8):
+            denoiser.denoise(frame(number, speed=0.0))
+        means = []
+        for number in range(8, 12):
+            given = frame(number, speed=0.0)
+            image = denoiser.denoise(replace(given, color=given.color * np.float32(factor)))
+            means.append(float(image.mean()))
+    expected = factor * float(wanted(0, speed=0.0).mean())
+    assert abs(means[-1] / expected - 1) < 0.15

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from stillray_training.shade import moving_shade
+from stillray_training.shade import moving_shade, switched
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -35,3 +35,12 @@ def test_shades_differ_in_strength_and_edge():
     between = [np.mean((s != s.min()) & (s != s.max())) for s in drawn]
     assert min(between) < 0.02
     assert max(between) > 0.2
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_switch_changes_all_light_once(seed):
+    factors = np.stack(switched((5, 7), 6, np.random.default_rng(seed)))
+    assert factors.shape == (6, 5, 7, 1)
+    assert (factors[0] == 1).all()
+    assert len(np.unique(factors.reshape(6, -1), axis=0)) == 2
+    assert 0.099 < factors.min() <= factors.max() < 10.1

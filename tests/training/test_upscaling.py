@@ -129,6 +129,30 @@ def test_patches_show_the_same_in_frame_and_reference(tmp_path, name):
             before = sample
 
 
+@pytest.mark.parametrize("name", ["munet-x2", "munet-x1"])
+def test_light_that_changes_changes_in_frame_and_reference(tmp_path, name):
+    recipe = {"frames": 4, "drop_feature": 0.0, "plain_share": 0.0}
+    scale = load(name).decoder.scale
+    clip = load_clip(render(tmp_path / "plane-0-0", scale=scale), small(name), Strips(1))
+    steady, shaded = (
+        ClipSampler([clip], small(name, patch=8 * scale, batch=1, shade_share=share, **recipe))
+        for share in (0.0, 1.0)
+    )
+    seen = []
+    for step in range(12):
+        for before, after in zip(steady.batch(step), shaded.batch(step), strict=True):
+            factor = after["wanted"] / before["wanted"]
+            np.testing.assert_allclose(after["color"], factor * before["color"], rtol=1e-5)
+            np.testing.assert_array_equal(after["albedo"], before["albedo"])
+            np.testing.assert_array_equal(after["wanted_albedo"], before["wanted_albedo"])
+            seen.append(factor)
+    assert 0.09 < np.min(seen) < 0.6
+    assert 1.5 < np.max(seen) < 11
+    # from frame to frame of a patch
+    changes = np.abs(np.diff(np.log(np.stack(seen).reshape(12, 4, -1)), axis=1)).max(axis=(1, 2))
+    assert (changes > 0.05).mean() > 0.7
+
+
 def test_missing_references_and_short_sequences_are_refused(tmp_path):
     folder = render(tmp_path / "plane-0-0", frames=2)
     spec = small(frames=3)

@@ -1,4 +1,4 @@
-"""Light that changes where surfaces stay: shadows and bright patches that move over a picture."""
+"""Light that changes where surfaces stay: shadows and bright patches that move, lamps switched."""
 
 from __future__ import annotations
 
@@ -10,6 +10,28 @@ _BRIGHT = 0.3  # share of shades that are brighter inside, not darker
 _PARTS = (0.1, 0.7)  # of the picture that is inside
 _SPEEDS = (1.0, 12.0)  # pixels a frame
 _SOFTEST = 0.5  # width of the edge in standard deviations of the field that makes the shape
+
+
+def switched(shape: tuple[int, int], frames: int, rng: np.random.Generator) -> list[np.ndarray]:
+    """Factors of the light of some frames in a row, all of which changes at one of them.
+
+    Parameters
+    ----------
+    shape, frames
+        As for `moving_shade`.
+    rng
+        Draws the frame, and the factor.
+
+    Returns
+    -------
+    list of (h, w, 1) float32 arrays
+        1 before, then 0.1 to 10.
+    """
+    at = int(rng.integers(1, max(frames, 2)))
+    factor = np.float32(_DARKEST ** rng.uniform(-1, 1))
+    return [
+        np.full((*shape, 1), factor if frame >= at else 1, np.float32) for frame in range(frames)
+    ]
 
 
 def moving_shade(shape: tuple[int, int], frames: int, rng: np.random.Generator) -> list[np.ndarray]:

@@ -19,6 +19,7 @@ from stillray.model_spec.loader import FeatureFilters, Training
 from stillray.stages import features
 from stillray.stages.accumulate import bounded
 from stillray_training.blocks import frame_paths
+from stillray_training.shade import moving_shade, switched
 from stillray_training.simulate.sequence import RECORD
 
 
@@ -44,6 +45,7 @@ class Clip:
     depth_units: list[float]
 
 
+_SWITCHED = 0.25  # share of the changes of light that are of all of it at once
 _GUIDES = ("albedo", "normal", "roughness", "specular_albedo")
 #: A frame of a patch: arrays by name, channels first.
 Sample = dict[str, np.ndarray]
@@ -162,7 +164,17 @@ class ClipSampler:
         top = int(rng.integers(height - self._side + 1))
         left = int(rng.integers(width - self._side + 1))
         change = _Change.drawn(rng, recipe)
-        return [self._sample(clip, at, (top, left), change) for at in range(first, first + count)]
+        samples = [
+            self._sample(clip, at, (top, left), change) for at in range(first, first + count)
+        ]
+        if recipe.shade_share and rng.random() < recipe.shade_share:
+            shades = switched if rng.random() < _SWITCHED else moving_shade
+            side = (self._side * self._scale,) * 2
+            for sample, shade in zip(samples, shades(side, count, rng), strict=True):
+                # on the samples as they lie on the picture: each has the light of its place there
+                for name in ("color", "wanted"):
+                    sample[name] = sample[name] * _planes(shade)
+        return samples
 
     def _sample(self, clip: Clip, at: int, corner: tuple[int, int], change: _Change) -> Sample:
         frame, reference = clip.frames[at], clip.references[at]
