@@ -36,7 +36,7 @@ def small(name="munet-x2", **recipe):
     # channels this few are no kernels to Muon
     defaults = {
         "steps": 40, "batch": 2, "patch": 16, "frames": 3, "optimiser": "adam",
-        "learning_rate": 4e-2, "warm_frames": 0, "average": 0.0,
+        "learning_rate": 4e-2, "warm_frames": 0, "average": 0.0, "shade_share": 0.0,
     }  # fmt: skip
     training = replace(spec.training, **{**defaults, **recipe})
     return replace(spec, network=network, training=training)
