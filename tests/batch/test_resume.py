@@ -10,10 +10,13 @@ import sys
 import time
 
 import numpy as np
+import onnx
 import pytest
 
 from stillray.cli import main
 from stillray.io.exr.read_write import read_exr, write_channels
+from stillray.models.precision import int8_path
+from stillray.models.registry import find_model
 from tests.conftest import make_frame
 
 HEIGHT, WIDTH, FRAMES = 49, 66, 10
@@ -101,6 +104,20 @@ def test_a_shot_is_of_one_precision(shot, capsys):
     assert len(written(run(capsys, *command, "--precision", "int8"))) == FRAMES
     assert written(run(capsys, *command, "--precision", "int8", "--resume")) == []
     assert len(written(run(capsys, *command, "--precision", "float32", "--resume"))) == FRAMES
+
+
+def test_a_network_quantised_anew_renders_all_anew(shot, capsys):
+    path = find_model("high").path
+    for file in (path, int8_path(path)):
+        shutil.copy(file, shot)
+    command = (*COMMAND[:-1], path.name, "--precision", "int8")
+    run(capsys, *command)
+    assert written(run(capsys, *command, "--resume")) == []
+    network = int8_path(shot / path.name)
+    model = onnx.load(network)
+    model.doc_string = "made again"
+    onnx.save(model, network)
+    assert len(written(run(capsys, *command, "--resume"))) == FRAMES
 
 
 def test_options_that_change_no_pixel_render_nothing(shot, capsys):

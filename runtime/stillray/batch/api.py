@@ -343,11 +343,11 @@ def plan_run(
     chosen, family = _opened(model, options)
     memory, cuts = _memory(family, options, len(jobs)), options.cuts and temporal
     precision = _precision(chosen, options)
+    network = network_path(chosen, precision, options.providers)
     changing = {"temporal": temporal, "cuts": cuts, **layout.options()}
     if precision != "float32":
         changing["precision"] = precision
-    digest = file_digest(chosen.path)
-    recipe = Recipe(model=chosen.name, model_digest=digest, options=changing)
+    recipe = Recipe(model=chosen.name, model_digest=file_digest(network), options=changing)
     done = [False] * len(jobs)
     if options.resume and (look or not options.in_chunks):
         done = finished(jobs, recipe, memory=memory, layers=layout.of_views)

@@ -21,7 +21,7 @@ from stillray.io.frame_range import format_frames
 from stillray.models.registry import ModelInfo
 from stillray.models.session import Provider
 from stillray.pipeline.denoiser import Denoiser
-from stillray.pipeline.opening import model_of
+from stillray.pipeline.opening import model_of, network_path
 from stillray.version import __version__
 
 
@@ -125,7 +125,8 @@ class ShotSettings:
         if self.recipe.version != __version__:
             raise InputError(f"workers must have stillray {self.recipe.version}, got {__version__}")
         model = model_of(self.model)
-        if file_digest(model.path) != self.recipe.model_digest:
+        network = network_path(model, self.precision, self.providers)
+        if file_digest(network) != self.recipe.model_digest:
             raise InputError(
                 f"workers must have the same file of the model {self.model}, got another one"
             )

@@ -38,7 +38,7 @@ class Recipe:
     model
         Its name.
     model_digest
-        Of its file, see `file_digest`.
+        Of the file that its network is read from, see `file_digest`.
     options
         All that changes pixels, by name.
     """
