@@ -37,6 +37,7 @@ def small(name="munet-x2", **recipe):
     defaults = {
         "steps": 40, "batch": 2, "patch": 16, "frames": 3, "optimiser": "adam",
         "learning_rate": 4e-2, "warm_frames": 0, "average": 0.0, "shade_share": 0.0,
+        "firefly_share": 0.0,
     }  # fmt: skip
     training = replace(spec.training, **{**defaults, **recipe})
     return replace(spec, network=network, training=training)
@@ -153,6 +154,26 @@ def test_light_that_changes_changes_in_frame_and_reference(tmp_path, name):
     assert (changes > 0.05).mean() > 0.7
 
 
+def test_fireflies_come_to_frames_and_not_to_references(tmp_path):
+    clip = load_clip(render(tmp_path / "plane-0-0"), small(), Strips(1))
+    recipe = {"frames": 4, "drop_feature": 0.0, "patch": 16, "batch": 4}
+    plain, lit = (ClipSampler([clip], small(firefly_share=share, **recipe)) for share in (0.0, 1.0))
+    brighter, frames_lit = [], set()
+    for step in range(40):
+        lit_ones = []
+        for before, after in zip(plain.batch(step), lit.batch(step), strict=True):
+            changed = after["color"].max(1) > 4 * before["color"].max()
+            brighter.append(changed.mean())
+            lit_ones.append(changed.any(axis=(1, 2)))
+            # the first patch is the same, but for them
+            np.testing.assert_array_equal(after["wanted"][0], before["wanted"][0])
+            np.testing.assert_array_equal(after["albedo"][0], before["albedo"][0])
+        frames_lit.update(np.sum(lit_ones, axis=0).tolist())
+    assert 0.001 < np.mean(brighter) < 0.1
+    # some shine once, some in every frame in a row
+    assert {0, 1, 4} <= frames_lit
+
+
 def test_missing_references_and_short_sequences_are_refused(tmp_path):
     folder = render(tmp_path / "plane-0-0", frames=2)
     spec = small(frames=3)
@@ -178,7 +199,7 @@ def test_frames_before_those_that_are_learned_from_make_their_past(tmp_path):
     clip = [load_clip(render(tmp_path / "plane-0-0", frames=6), small(), Strips(1))]
     spec = small(frames=2, warm_frames=4)
     sampler = ClipSampler(clip, spec)
-    batches = [sampler.batch(step) for step in range(12)]
+    batches = [sampler.batch(step) for step in range(30)]
     assert {len(batch) for batch in batches} == {2, 3, 4, 5, 6}
     network = multi_branch_net(spec)
     batch = max(batches, key=len)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from stillray.model_spec.loader import FeatureFilters, Training
 from stillray.stages import features
 from stillray.stages.accumulate import bounded
 from stillray_training.blocks import frame_paths
+from stillray_training.quiet import fireflies
 from stillray_training.shade import moving_shade, switched
 from stillray_training.simulate.sequence import RECORD
 
@@ -46,6 +48,7 @@ class Clip:
 
 
 _SWITCHED = 0.25  # share of the changes of light that are of all of it at once
+_WANDERING = 0.5  # share of fireflies that come a pixel on with every frame
 _GUIDES = ("albedo", "normal", "roughness", "specular_albedo")
 #: A frame of a patch: arrays by name, channels first.
 Sample = dict[str, np.ndarray]
@@ -164,8 +167,12 @@ class ClipSampler:
         top = int(rng.integers(height - self._side + 1))
         left = int(rng.integers(width - self._side + 1))
         change = _Change.drawn(rng, recipe)
+        lights: list[np.ndarray | None] = [None] * count
+        if recipe.firefly_share and rng.random() < recipe.firefly_share:
+            lights = list(self._fireflies(clip.references[first].color, count, rng))
         samples = [
-            self._sample(clip, at, (top, left), change) for at in range(first, first + count)
+            self._sample(clip, first + number, (top, left), change, light)
+            for number, light in enumerate(lights)
         ]
         if recipe.shade_share and rng.random() < recipe.shade_share:
             shades = switched if rng.random() < _SWITCHED else moving_shade
@@ -176,7 +183,32 @@ class ClipSampler:
                     sample[name] = sample[name] * _planes(shade)
         return samples
 
-    def _sample(self, clip: Clip, at: int, corner: tuple[int, int], change: _Change) -> Sample:
+    def _fireflies(
+        self, reference: np.ndarray, count: int, rng: np.random.Generator
+    ) -> Iterator[np.ndarray]:
+        """Fireflies of frames in a row, ``(h, w, 3)`` each, 0 where there is none.
+
+        Half of them come one pixel on with every frame, as a thing that moves has them.
+        """
+        # of a picture as bright as this one, and as large as a patch
+        like = cv2.resize(reference, (self._side, self._side), interpolation=cv2.INTER_AREA)
+        wandering = rng.random() < _WANDERING
+        way = rng.integers(-1, 2, 2)
+        light = fireflies(like, rng)
+        for number in range(count):
+            if wandering:
+                yield np.roll(light, tuple(way * number), (0, 1))
+            else:
+                yield fireflies(like, rng)
+
+    def _sample(
+        self,
+        clip: Clip,
+        at: int,
+        corner: tuple[int, int],
+        change: _Change,
+        fireflies_hwc: np.ndarray | None = None,
+    ) -> Sample:
         frame, reference = clip.frames[at], clip.references[at]
         low = _window(corner, self._side, 1)
         high = _window(corner, self._side, self._scale)
@@ -188,6 +220,9 @@ class ClipSampler:
         grid = Grid.of((self._side, self._side), self._scale, multiple, jitter)
         every = slice(0, grid.full[0])
         positions, inside = grid.past_positions(np.ascontiguousarray(motion), every)
+
+        if fireflies_hwc is not None:
+            frame = self._lit(frame, low, fireflies_hwc, clip.exposures[at])
 
         def seen(image: np.ndarray) -> np.ndarray:
             return _planes(grid.take(change.image(image[low]), every))
@@ -207,6 +242,15 @@ class ClipSampler:
             "depth_unit": np.full((1, 1, 1), clip.depth_units[at], np.float32),
             **{name: _planes(change.image(image[high])) for name, image in truth.items()},
         }
+
+    def _lit(
+        self, frame: Frame, at: tuple[slice, slice], light: np.ndarray, exposure: float
+    ) -> Frame:
+        """A frame with fireflies in a window, as far as the runtime lets them through."""
+        spec, color = self._spec, frame.color.copy()
+        lit = np.where(light > 0, light, color[at])
+        color[at] = bounded(lit, exposure, spec.transfer, spec.temporal)
+        return replace(frame, color=color)
 
 
 @dataclass(frozen=True, eq=False)
