@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import torch
 import typer
 from onnx import numpy_helper
+from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.fx.experimental.proxy_tensor import make_fx
 
@@ -27,9 +28,12 @@ from stillray.model_spec import ModelSpec, load
 from stillray.model_spec.network_weights import network_weights
 from stillray.models.registry import UNLISTED, require_fit
 from stillray.models.session import checked
+from stillray_training.loss_log import LOG, last_step
 from stillray_training.networks.filter_parameters import Shapes, filter_parameters, split, start
 from stillray_training.online.step import LOSS_EPSILON, Learning, train_step
+from stillray_training.online.warm import WEIGHTS
 from stillray_training.onnx_graph import metadata_of, to_model
+from stillray_training.provenance import collect
 
 OPSET = 18
 STEP_NAME = "cross-regression.onnx"
@@ -164,16 +168,33 @@ def _example(count: int, features: int) -> tuple[Tensor, ...]:
     )
 
 
+def _begin(spec: ModelSpec, run: Path | None) -> tuple[Tensor, dict[str, Any]]:
+    """Weights to begin with, and where they are from."""
+    if run is None:
+        random = start(layout_of(spec), spec.training.seed)
+        return random, {"data": "none: random weights", "seed": spec.training.seed}
+    path = run / WEIGHTS
+    if not path.is_file():
+        raise InputError(f"run must hold {WEIGHTS}, got {run}")
+    weights = load_file(path)["weights"]
+    count = sum(math.prod(shape) for _, shape in layout_of(spec))
+    if weights.shape != (count,):
+        raise InputError(f"{path}: must hold {count} weights, got {tuple(weights.shape)}")
+    return weights, collect(run, spec, last_step(run / LOG))
+
+
 def main(
     model: Annotated[str, typer.Argument(help="A specification's name.")] = "online",
+    run: Annotated[
+        Path | None, typer.Option(help="Folder of `stillray_training.online.warm`.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the .onnx files.")] = Path(
         "runtime/stillray/models"
     ),
 ) -> None:
-    """Export a model that nothing has taught yet, and its step of learning."""
+    """Export a model, which nothing has taught yet unless there is a run, and its step."""
     spec = load(model)
-    weights = start(layout_of(spec), spec.training.seed)
-    about = {"data": "none: random weights", "seed": spec.training.seed}
+    weights, about = _begin(spec, run)
     files = {
         out / UNLISTED / f"{spec.name}.onnx": network_file(spec, weights, about),
         out / "steps" / STEP_NAME: step_file(spec),

@@ -11,6 +11,7 @@ from stillray.errors import InputError
 from stillray.families.contract import State
 from stillray.families.online_learning import Learned, Learner, Lesson, crop_of
 from stillray.families.online_past import Past, logarithm, radiance_of
+from stillray.frame import Frame
 from stillray.models.registry import find_model
 from stillray.pipeline.denoiser import Denoiser
 from tests.conftest import make_frame
@@ -48,9 +49,38 @@ def test_one_half_alone_is_refused_and_the_error_says_how_to_get_the_other(onlin
         online.denoise(make_frame(8, 8))
 
 
-def test_it_is_found_by_name_and_not_listed():
-    assert "online" not in [model.name for model in stillray.list_models()]
-    assert find_model("online").parameters == 30670
+@pytest.mark.parametrize("name", ["online", "online-warm"])
+def test_it_is_found_by_name_and_not_listed(name):
+    assert name not in [model.name for model in stillray.list_models()]
+    assert find_model(name).parameters == 30670
+
+
+def test_what_other_scenes_taught_shows_in_the_first_frames():
+    """A box before a wall, lit from above, under noise that half of the paths bring."""
+    rng = np.random.default_rng(3)
+    height, width = 72, 96
+    albedo = np.full((height, width, 3), 0.7, np.float32)
+    albedo[20:50, 30:70] = (0.6, 0.2, 0.1)
+    clean = albedo * np.linspace(0.9, 0.3, height, dtype=np.float32)[:, None, None]
+    normal = np.zeros_like(albedo)
+    normal[..., 2] = 1
+
+    def seen():
+        paths = rng.standard_exponential((height, width, 1), np.float32) * 2
+        return clean * paths * (rng.random((height, width, 1)) < 0.5)
+
+    still = np.zeros((height, width, 2), np.float32)
+    depth = np.ones((height, width), np.float32)
+    buffers = {"albedo": albedo, "normal": normal, "depth": depth, "motion": still}
+    frames = [Frame(color=seen(), color_b=seen(), **buffers) for _ in range(3)]
+    errors = {}
+    for name in ("online", "online-warm"):
+        with Denoiser(name, threads=1) as denoiser:
+            images = [denoiser.denoise(frame) for frame in frames]
+        errors[name] = [float(np.square(image - clean).mean()) for image in images]
+    taught, untaught = errors["online-warm"], errors["online"]
+    assert sum(taught) < 0.9 * sum(untaught)
+    assert all(one < other for one, other in zip(taught, untaught, strict=True))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 5), (33, 18), (130, 141)])

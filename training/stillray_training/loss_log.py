@@ -28,3 +28,9 @@ def forget_after(path: Path, step: int) -> None:
             header, *rows = list(csv.reader(file))
         with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
             csv.writer(file).writerows([header, *(row for row in rows if int(row[0]) <= step)])
+
+
+def last_step(path: Path) -> int:
+    """The step of the last row."""
+    with path.open(newline="") as file:
+        return int(list(csv.DictReader(file))[-1]["step"])

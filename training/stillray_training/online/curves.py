@@ -36,7 +36,7 @@ def draw_curves(scores: Scores, title: str, path: Path) -> None:
     figure, (left, right) = new_figure(11, 4.2, 1, 2)
     for name, frames in scores.items():
         numbers = sorted(frames)
-        ours = name == "online"
+        ours = name.startswith("online")
         how = {"marker": "o" if ours else ".", "linewidth": 2.2 if ours else 1.0, "label": name}
         left.plot(numbers, [frames[number]["relmse"] for number in numbers], **how)
         right.plot(numbers, [1 - frames[number]["ssim"] for number in numbers], **how)

@@ -101,7 +101,9 @@ def streams(
         yield from _parts(opened)
     for name in models:
         model = opened.enter_context(Denoiser(name))
-        yield name, lambda frame, model=model: model.denoise(mean_of_halves(frame))  # type: ignore[misc]
+        halves = "color_b" in model.model.spec.inputs.required
+        given = _as_it_is if halves else mean_of_halves
+        yield name, lambda frame, made=model, given=given: made.denoise(given(frame))  # type: ignore[misc]
     for name in peers:
         peer = find_peer(name)
         made = peer.make()

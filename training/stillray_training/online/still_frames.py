@@ -52,7 +52,7 @@ def noisy(clean: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def run(
-    clean: np.ndarray, features: Frame, frames: int, *, learns: bool = True
+    clean: np.ndarray, features: Frame, frames: int, *, learns: bool = True, model: str = "online"
 ) -> Iterator[tuple[int, dict[str, float]]]:
     """Number, from 1, and scores of those frames that are looked at: 1, 2, 4, ... and the last.
 
@@ -66,9 +66,11 @@ def run(
         How many.
     learns
         Whether what was learned is kept from frame to frame.
+    model
+        Its name.
     """
     rng = np.random.default_rng(0)
-    with Denoiser("online") as denoiser:
+    with Denoiser(model) as denoiser:
         for number in range(1, frames + 1):
             halves = {name: noisy(clean, rng) for name in ("color", "color_b")}
             frame = dataclasses.replace(features, **halves)
@@ -84,13 +86,14 @@ def main(
     frames: Annotated[int, typer.Option(min=1)] = 1000,
     learns: Annotated[bool, typer.Option(help="Keep what was learned.")] = True,
     shrink: Annotated[int, typer.Option(min=1, help="Pixels of the EXR to one.")] = 5,
+    model: Annotated[str, typer.Option(help="One that learns as it denoises.")] = "online",
 ) -> None:
     """Denoise a still view for long, and print errors at frames 1, 2, 4 and so on."""
     given = read_exr(features)
     small = shrunk(given, (given.shape[0] // shrink, given.shape[1] // shrink))
     clean = read_reference(reference, small.shape)
     print(f"{'frame':>8s}" + "".join(f"{name:>10s}" for name in METRICS))
-    for number, found in run(clean, small, frames, learns=learns):
+    for number, found in run(clean, small, frames, learns=learns, model=model):
         print(f"{number:8d}" + "".join(f"{found[name]:10.4f}" for name in METRICS), flush=True)
 
 
