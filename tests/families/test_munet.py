@@ -153,3 +153,20 @@ def test_light_that_is_switched_is_followed(model, factor) -> None:
             means.append(float(image.mean()))
     expected = factor * float(wanted(0, speed=0.0).mean())
     assert abs(means[-1] / expected - 1) < 0.15
+
+
+@pytest.mark.parametrize("model", ["munet-x1", "munet-x2"])
+def test_clusters_of_fireflies_are_left_out(model):
+    """Nine pixels share one sample, and come a pixel on with every frame."""
+    images = []
+    for bright in (1.0, 1e4):
+        with stillray.Denoiser(model, threads=1) as denoiser:
+            for number in range(6):
+                given = frame(number, speed=0.0)
+                color = given.color.copy()
+                color[20:23, 10 + number : 13 + number] *= np.float32(bright)
+                image = denoiser.denoise(replace(given, color=color))
+        images.append(image)
+    plain, lit = images
+    # 400 times, where nothing but what scenes have was learned from
+    assert (lit / (plain + 0.01)).max() < 40
