@@ -6,6 +6,7 @@ import csv
 import json
 import tomllib
 from collections import Counter
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib import resources
 from importlib.metadata import version
@@ -17,6 +18,7 @@ from stillray.model_spec import ModelSpec
 
 #: Credit of scenes of which nobody has said whose they are.
 UNSTATED = "not stated: renders of whoever trained this model"
+DATA = "data.json"  # in a run's folder: the names of its sequences
 ASSETS = "assets.json"  # in a run's folder: who made the objects in its sequences
 _FREE = ("CC0", "CC BY", "CC-BY")  # licences whose objects may train a model that ships begin so
 _LOSS_ROWS = 10  # rows of the log whose mean is the last loss
@@ -64,6 +66,18 @@ def _may_ship(licence: str) -> bool:
     return licence.startswith(_FREE) and not any(word in licence for word in ("NC", "ND", "SA"))
 
 
+def record_data(run: Path, sequences: Sequence[Path]) -> None:
+    """Write into a run's folder what it learns from, and who made the objects in that.
+
+    Raises
+    ------
+    InputError
+        As `assets_of`.
+    """
+    (run / DATA).write_text(json.dumps([path.name for path in sequences], indent=1))
+    (run / ASSETS).write_text(json.dumps(assets_of(list(sequences)), indent=1))
+
+
 def collect(run: Path, spec: ModelSpec, steps: int) -> dict[str, Any]:
     """What a training run's folder tells about the model made in it.
 
@@ -77,7 +91,7 @@ def collect(run: Path, spec: ModelSpec, steps: int) -> dict[str, Any]:
     steps
         Steps of its checkpoint.
     """
-    sequences = json.loads((run / "data.json").read_text())
+    sequences = json.loads((run / DATA).read_text())
     scenes = Counter(name.rsplit("-", 2)[0] for name in sequences)
     with (run / "log.csv").open(newline="") as file:
         losses = [float(row["loss"]) for row in csv.DictReader(file)][-_LOSS_ROWS:]

@@ -19,7 +19,7 @@ from stillray.model_spec import ModelSpec
 from stillray_training.checkpoint import CHECKPOINT, restore, save
 from stillray_training.examples import find_sequences
 from stillray_training.loss_log import LOG, LOG_EVERY, forget_after, log_loss
-from stillray_training.provenance import ASSETS, assets_of
+from stillray_training.provenance import record_data
 from stillray_training.schedule import follow, learning_rate, optimiser_of
 from stillray_training.start import STARTED_FROM, start_from
 
@@ -60,8 +60,7 @@ class Run:
         out.mkdir(parents=True, exist_ok=True)
         self.step = restore(out / CHECKPOINT, spec, network, self._optimiser, self.average)
         forget_after(out / LOG, self.step)
-        (out / "data.json").write_text(json.dumps([path.name for path in sequences], indent=1))
-        (out / ASSETS).write_text(json.dumps(assets_of(list(sequences)), indent=1))
+        record_data(out, sequences)
 
     def start_from(self, model: str | Path) -> None:
         """Take over the weights of a similar model, unless the run is past its beginning."""

@@ -12,7 +12,6 @@ differs: Choi et al. 2024 begin with random weights, so that no data set is need
 from __future__ import annotations
 
 import dataclasses
-import json
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -43,11 +42,11 @@ from stillray.model_spec.network_weights import Shapes, network_weights
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.blocks import frame_paths
 from stillray_training.decoders.cross_bilateral import cross_bilateral
-from stillray_training.examples import find_sequences
 from stillray_training.loss_log import LOG, log_loss
 from stillray_training.losses import displayed, smape
 from stillray_training.networks.filter_parameters import filter_parameters, split, start
-from stillray_training.provenance import ASSETS, assets_of
+from stillray_training.provenance import record_data
+from stillray_training.run import sequences_in
 
 WEIGHTS = "weights.safetensors"
 _CROP = 96  # pixels
@@ -235,9 +234,7 @@ def main(
     """Teach the network of a model that learns while it denoises."""
     spec = load(model)
     layout, seed = network_weights(spec), spec.training.seed
-    sequences = find_sequences(data)
-    if not sequences:
-        raise InputError(f"data must hold finished sequences, got {data}")
+    sequences = sequences_in([data])
     weights, began = start(layout, seed), time.monotonic()
     out.mkdir(parents=True, exist_ok=True)
     (out / LOG).unlink(missing_ok=True)
@@ -249,8 +246,7 @@ def main(
             save_file({"weights": weights}, temporary)
         log_loss(out / LOG, (number + 1) * steps, loss, time.monotonic() - began)
         print(f"round {number + 1}: {len(lessons)} frames, loss {loss:.4f}", flush=True)
-    (out / "data.json").write_text(json.dumps([path.name for path in sequences], indent=1))
-    (out / ASSETS).write_text(json.dumps(assets_of(sequences), indent=1))
+    record_data(out, sequences)
 
 
 if __name__ == "__main__":

@@ -207,7 +207,7 @@ class ClipSampler:
         at: int,
         corner: tuple[int, int],
         change: _Change,
-        fireflies_hwc: np.ndarray | None = None,
+        fireflies_hwc: np.ndarray | None,
     ) -> Sample:
         frame, reference = clip.frames[at], clip.references[at]
         low = _window(corner, self._side, 1)
