@@ -76,6 +76,10 @@ def reproject(
             if weights > 0:
                 result[y, x, :3] = total[:3] / weights
                 result[y, x, 3] = total[3]
+            if options.most_blur:
+                variances = [share * (1 - share) for share in (at_x - left, at_y - top)]
+                blur = max(sum(variances), 1e-6)
+                result[y, x, 3] = min(result[y, x, 3], options.most_blur / blur)
     return result
 
 

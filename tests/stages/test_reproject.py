@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -42,9 +44,15 @@ def _positions(motion, rows):
     return motion + np.stack([column, row], axis=-1).astype(np.float32)
 
 
+def _blurring(spec, most):
+    return dataclasses.replace(spec, temporal=dataclasses.replace(spec.temporal, most_blur=most))
+
+
 @pytest.mark.parametrize("size", [*ODD_SIZES, (40, 2)])
 @pytest.mark.parametrize("patch", [1, 7])
-def test_taps_are_accepted_one_by_one_like_the_loop_oracle(size, patch, spec):
+@pytest.mark.parametrize("most_blur", [0.0, 1.5])
+def test_taps_are_accepted_one_by_one_like_the_loop_oracle(size, patch, most_blur, spec):
+    spec = _blurring(spec, most_blur)
     # patches of one surface: their inner pixels take the quick way, their edges the other
     history, *guides, motion = _scene(size, 3)
     cells = tuple(np.arange(extent) // patch for extent in size)
@@ -69,6 +77,19 @@ def test_borders_are_where_the_frame_ends_also_without_geometry(size, off, spec,
         got = _run(history, None, None, motion, slice(0, size[0]), spec)
         expected = oracles.reproject(history, *alike, *alike, motion, spec.temporal)
         np.testing.assert_allclose(got, expected, rtol=1e-5, atol=1e-5)
+
+
+def test_a_past_looked_at_between_pixels_counts_as_less(spec):
+    """Half a pixel across blurs by a quarter of a square pixel, whole ones not at all."""
+    history = np.full((5, 9, 4), 16, np.float32)
+    held = []
+    for off in (0.5, 1.0, 0.01):
+        motion = np.zeros((5, 9, 2), np.float32)
+        motion[..., 0] = off
+        got = _run(history, None, None, motion, slice(0, 5), _blurring(spec, 1.5))
+        np.testing.assert_allclose(got[:, :7, :3], 16, rtol=1e-6)
+        held.append(got[2, 3, 3])
+    np.testing.assert_allclose(held, [6, 16, 16], rtol=1e-5)
 
 
 def test_a_slanted_surface_keeps_its_history(spec):

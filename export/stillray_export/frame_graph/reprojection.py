@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from stillray.model_spec.loader import Temporal
-from stillray.stages.reproject import SMOOTH_DEPTH, SMOOTH_NORMAL
+from stillray.stages.reproject import LEAST_BLUR, SMOOTH_DEPTH, SMOOTH_NORMAL
 from stillray_export.frame_graph.lookup import (
     linear_taps,
     mean_of,
@@ -90,9 +90,17 @@ def reproject(
     total = _of(torch.add, [share * pixel for share, pixel in zip(alone, light, strict=True)])
     accepted = _of(torch.add, alone).clamp(min=_TINY)
     samples = total[:, 3:]
+    if options.most_blur:
+        samples = torch.minimum(samples, options.most_blur / pixels_of(_blur(places)))
     # shares of a smooth surface add up to 1
     irradiance = total[:, :3] / torch.where(smooth, 1.0, accepted)
     return planes_like(torch.cat([irradiance, samples], 1), now_nchw)
+
+
+def _blur(places: Tensor) -> Tensor:
+    """Square pixels by which a look at places ``(1, 2, h, w)`` blurs, ``(1, 1, h, w)``."""
+    share = places - places.floor()
+    return (share * (1 - share)).sum(1, keepdim=True).clamp(min=LEAST_BLUR)
 
 
 def _same_surface(before: Tensor, now: Tensor, options: Temporal) -> Tensor:

@@ -136,6 +136,9 @@ class Temporal:
     # their median, >= 0; 0: nothing is removed. Models that were exported before it was known lack
     # it.
     outlier_deviations: float = 0.0
+    # Square pixels by which looking between pixels may blur a past, >= 0: it counts as no more
+    # samples than that over what one look blurs; 0: as ``max_samples`` alone. Younger, too.
+    most_blur: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -539,6 +542,7 @@ class ModelSpec:
         _within("temporal.albedo_samples", self.temporal.albedo_samples, 0, 1e6)
         _within("temporal.depth_ratio", self.temporal.depth_ratio, 1e-6, 1e6)
         _within("temporal.outlier_deviations", self.temporal.outlier_deviations, 0, 100)
+        _within("temporal.most_blur", self.temporal.most_blur, 0, 1e6)
 
     def to_json(self) -> str:
         """The spec as JSON text, as it is embedded in a model file."""

@@ -22,6 +22,8 @@ _EMPTY_DEPTH = np.float32(-100)  # "logarithm of the depth" of background: far f
 _NO_NORMAL = 0.25  # a normal with no component beyond this points nowhere
 _EVEN_LENGTH = (0.98, 1.02)  # squared length of a normal that is left as it is: rounding of halves
 _TINY = np.float32(1e-12)  # share of a tap: keeps 0/0 out of pixels without a tap
+#: Square pixels of blur below which a look does not count as between pixels.
+LEAST_BLUR = 1e-6
 
 
 def pack(
@@ -189,6 +191,11 @@ def reproject(
     disocclusion does not claim more than it has (Fan et al. 2021, section 4.1; differs: per tap,
     as in Schied et al. 2017, section 4.1, and no world positions are needed).
 
+    A look between pixels blurs: two taps at distances ``f`` and ``1 - f`` spread light by ``f (1 -
+    f)`` square pixels in each direction. What is held for ``n`` frames has been looked at ``n``
+    times, and light of a bright window has come into the bars before it; so with ``most_blur`` no
+    pixel claims more samples than that over the blur of this look (docs/decisions.md).
+
     Most pixels look back at one smooth surface, where the four taps share their fate and one
     interpolation answers for them all; only the others are taken apart.
 
@@ -247,7 +254,21 @@ def reproject(
             history, before, now_listed, positions_listed.view(np.float32).reshape(-1, 2), options
         )
         pixels_of(taken)[at] = pixels_of(listed)
+    if options.most_blur:
+        _bound_blur(taken, positions, options.most_blur, workspace)
     return taken
+
+
+def _bound_blur(
+    taken: np.ndarray, positions: np.ndarray, most: float, workspace: Workspace
+) -> None:
+    """Bound samples of ``taken``, ``(h, w, 4)``, by what looking between pixels blurs."""
+    share = np.floor(positions, out=workspace.array("corner", positions.shape))
+    np.subtract(positions, share, out=share)
+    share -= np.square(share, out=workspace.array("squared share", share.shape))
+    blur = np.add(share[..., 0], share[..., 1], out=workspace.array("blur", share.shape[:2]))
+    np.maximum(blur, np.float32(LEAST_BLUR), out=blur)
+    np.minimum(taken[..., 3], np.divide(np.float32(most), blur, out=blur), out=taken[..., 3])
 
 
 def _tap_by_tap(

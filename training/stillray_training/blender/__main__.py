@@ -2,7 +2,8 @@
 
 Sequences go to ``<scene>/frame_0000.exr``, ..., stills to ``spp/<scene>/<samples a pixel>``, and
 references of both to ``<scene>/ref_0000.exr``, ...; files are as Blender writes them, multilayer.
-What is there already is kept.
+What is there already is kept. ``--noise-seed 500`` renders frames of sequences again, with noise of
+their own and nothing beside: second halves, for another folder.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ def render_stills(folder: Path, scene: str, frame: int) -> None:
         render(path, frame=frame, samples=count, seed=_STILL_SEED + place)
 
 
-def render_sequence(folder: Path, scene: str) -> None:
-    """All frames of the scene that is built."""
+def render_sequence(folder: Path, scene: str, noise_seed: int = 0) -> None:
+    """All frames of the scene that is built; the seed is that of the first one's noise."""
     for frame in range(_FRAMES):
         path = folder / scene / f"frame_{frame:04d}.exr"
-        render(path, frame=frame, samples=_SEQUENCE_SAMPLES, seed=frame)
+        render(path, frame=frame, samples=_SEQUENCE_SAMPLES, seed=noise_seed + frame)
 
 
 def render_references(folder: Path, scene: str, frames: Sequence[int], samples: int) -> None:
@@ -40,10 +41,15 @@ def render_references(folder: Path, scene: str, frames: Sequence[int], samples: 
         render(path, frame=frame, samples=samples, seed=_REFERENCE_SEED + frame)
 
 
-def render_moving_shadow(folder: Path) -> None:
-    """A sequence with a reference for every frame."""
+def build_moving_shadow() -> None:
+    """The scene of a sequence with a reference for every frame."""
     prepare((320, 180))
     moving_shadow.build(_FRAMES)
+
+
+def render_moving_shadow(folder: Path) -> None:
+    """All of it."""
+    build_moving_shadow()
     render_sequence(folder, "moving_shadow")
     render_references(folder, "moving_shadow", range(_FRAMES), 256)
 
@@ -56,11 +62,16 @@ def render_objects(folder: Path) -> None:
     render_references(folder, "objects", [0], 512)
 
 
-def render_interior(folder: Path) -> None:
-    """A sequence whose last two frames have references, and stills of the last."""
+def build_interior() -> None:
+    """The scene of a sequence whose last two frames have references, and stills of the last."""
     prepare((384, 216))
     interior.build()
     interior.move(_FRAMES)
+
+
+def render_interior(folder: Path) -> None:
+    """All of it."""
+    build_interior()
     render_sequence(folder, "interior")
     render_stills(folder, "interior", _FRAMES - 1)
     render_references(folder, "interior", [_FRAMES - 1, _FRAMES - 2], 384)
@@ -71,6 +82,7 @@ SCENES: dict[str, Callable[[Path], None]] = {
     "objects": render_objects,
     "interior": render_interior,
 }
+SEQUENCES = {"moving_shadow": build_moving_shadow, "interior": build_interior}
 
 
 def main() -> None:
@@ -78,9 +90,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Render the validation scenes of Blender.")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--scene", action="append", choices=SCENES, help="default: all")
+    parser.add_argument("--noise-seed", type=int, help="frames of sequences alone, of this seed on")
     given = parser.parse_args()
-    for name in given.scene or SCENES:
-        SCENES[name](given.folder.resolve())
+    folder = given.folder.resolve()
+    if given.noise_seed is None:
+        for name in given.scene or SCENES:
+            SCENES[name](folder)
+        return
+    for name in given.scene or SEQUENCES:
+        if name not in SEQUENCES:
+            parser.error(f"noise-seed is for one of {', '.join(SEQUENCES)}, got {name}")
+        SEQUENCES[name]()
+        render_sequence(folder, name, given.noise_seed)
 
 
 if __name__ == "__main__":
