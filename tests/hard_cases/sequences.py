@@ -312,4 +312,51 @@ def reflection_moves(denoiser: stillray.Denoiser) -> Iterator[float]:
     return _past_beside_none(denoiser, 16, 4.0)
 
 
+_LIGHT_SPREADS = (
+    "a look between pixels spreads light, and a window's is more than a bar of two pixels can "
+    "hide; the pyramids bound how much of such a past they hold"
+)
+
+
+@case(
+    "bars 2 pixels wide before a window of 60 times their light, moving 0.4 pixels a frame",
+    "light of the bars, 16 frames from the 24th on / of each frame alone",
+    2.0,
+    kpyr_5s=_LIGHT_SPREADS,
+    nbg_7x3=_LIGHT_SPREADS,
+    wskp_6=_LIGHT_SPREADS,
+    wskp_mr=_LIGHT_SPREADS,
+)
+def bars_before_a_window(denoiser: stillray.Denoiser) -> float:
+    rng, step, wide = np.random.default_rng(7), 0.4, 48
+    shape = (HEIGHT, wide)
+    motion = np.zeros((*shape, 2), np.float32)
+    motion[..., 0] = step
+    frames, within = [], []
+    for index in range(40):
+        across = np.arange(wide) + step * index
+        # samples lie anywhere in their pixel; one look is at a bar or past it
+        at = across + rng.random(shape) - 0.5
+        light = np.where(at % 12 < 2, 0.1 * rng.gamma(2, 0.5, shape), 6.0)
+        frames.append(
+            Frame(
+                color=np.repeat(light[..., None], 3, 2).astype(np.float32),
+                albedo=np.full((*shape, 3), 0.5),
+                normal=np.broadcast_to(np.float32([0, 0, 1]), (*shape, 3)),
+                depth=np.full(shape, 4.0),
+                motion=motion,
+            )
+        )
+        within.append((across % 12 >= 0.5) & (across % 12 <= 1.5))
+    held = run(denoiser, frames)
+    alone = [run(denoiser, [frame])[0] for frame in frames[24:]]
+    lit = [
+        float(
+            np.mean([image[:, bar].mean() for image, bar in zip(images, within[24:], strict=True)])
+        )
+        for images in (held[24:], alone)
+    ]
+    return lit[0] / lit[1]
+
+
 CASES: list[Case] = [value for value in list(globals().values()) if isinstance(value, Case)]
