@@ -163,13 +163,15 @@ def main(
     about = {**collect(run, spec, step), "scores": {}}
     if validation is not None:
         with tempfile.TemporaryDirectory() as folder:
-            unscored = str(export(network, spec, about, Path(folder)))
-            sequences = find_cases(validation, kinds=["sequences"])
-            (scores,) = evaluate_cases(sequences, {"model": unscored}, peers=()).values()
-        about["scores"] = {
-            name: round(value, 4) for name, value in mean_scores(scores)["model"].items()
-        }
+            about["scores"] = scores_of(export(network, spec, about, Path(folder)), validation)
     print(export(network, spec, about, out))
+
+
+def scores_of(model: Path, validation: Path) -> dict[str, float]:
+    """Mean scores of a model's file over the sequences of a folder."""
+    sequences = find_cases(validation, kinds=["sequences"])
+    (scores,) = evaluate_cases(sequences, {"model": str(model)}, peers=()).values()
+    return {name: round(value, 4) for name, value in mean_scores(scores)["model"].items()}
 
 
 def as_specified_now(trained: ModelSpec) -> ModelSpec:

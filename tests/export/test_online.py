@@ -7,15 +7,12 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-from stillray.errors import InputError  # noqa: E402
 from stillray.families.filter_network import split as split_arrays  # noqa: E402
 from stillray.families.online import THINNED  # noqa: E402
 from stillray.families.online_learning import CROP  # noqa: E402
-from stillray.model_spec import load  # noqa: E402
-from stillray.models.registry import UNLISTED, find_model, steps_of  # noqa: E402
+from stillray.models.registry import find_model, steps_of  # noqa: E402
 from stillray.models.session import Network  # noqa: E402
 from stillray_export.online import layout_of  # noqa: E402
-from stillray_export.online import main as export  # noqa: E402
 from stillray_training.networks.filter_parameters import (  # noqa: E402
     Differentiable,
     filter_parameters,
@@ -97,29 +94,6 @@ def test_slopes_are_those_of_finite_differences(model, rng):
         step[index] = 1e-6
         change = loss(weights + step, *given, how) - loss(weights - step, *given, how)
         assert float(change) / 2e-6 == pytest.approx(float(slopes[index]), rel=1e-3, abs=1e-9)
-
-
-def test_a_model_is_exported_anew_with_its_own_weights(tmp_path):
-    """Where a specification says more than it did, and nothing was taught anew."""
-    model = find_model("online-warm")
-    export(model.name, run=model.path, out=tmp_path)
-    anew = find_model(tmp_path / UNLISTED / "online-warm.onnx")
-    assert anew.provenance == model.provenance
-    assert anew.spec == load(model.name)
-    given = {"features": np.full((1, 15, 32, 48), 0.5, np.float32)}
-    found = []
-    for each in (model, anew):
-        engine = Network(each.path, threads=1, providers=None)
-        (theta,) = engine.run("network", {**given, **engine.run("weights", {})}).values()
-        found.append(theta)
-        engine.close()
-    np.testing.assert_array_equal(*found)
-
-
-def test_a_model_of_another_family_gives_no_weights(tmp_path):
-    path = find_model("kpyr-5s").path
-    with pytest.raises(InputError, match="run must be a model of the shapes of online-warm, got"):
-        export("online-warm", run=path, out=tmp_path)
 
 
 def test_learned_weights_take_the_place_of_those_in_the_file(model, network, rng):

@@ -1,0 +1,83 @@
+"""``python -m stillray_export.restate NAME``: the rules and prose of today, the weights as they are.
+
+What a specification says of stages around the network, of its past and of the papers, may change
+without a step of training; what is in a model's files then says what was.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import onnx
+import typer
+
+from stillray.cli import program
+from stillray.errors import InputError
+from stillray.io.exr.read_write import atomic_path
+from stillray.models.precision import floats_of, int8_path
+from stillray.models.registry import WHOLE_SUFFIX, find_model
+from stillray_export.to_onnx import as_specified_now, scores_of
+from stillray_training.onnx_graph import metadata_of
+
+
+def restate(path: Path, validation: Path | None = None) -> list[Path]:
+    """Write a model's files anew with today's specification of its name.
+
+    Parameters
+    ----------
+    path
+        ``NAME.onnx``; its whole graph and its network in integers lie beside it, if any.
+    validation
+        Sequences with references, whose scores take the place of those before; None for none: the
+        scores stay.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    InputError
+        There is no such model, or today's specification is of another network.
+    """
+    info = find_model(path)
+    spec = as_specified_now(info.spec)
+    if spec == info.spec:
+        raise InputError(f"model must say something else than its specification today, got {path}")
+    whole = path.with_name(f"{path.stem}{WHOLE_SUFFIX}.onnx")
+    files = [file for file in (path, whole, int8_path(path)) if file.is_file()]
+    _tell(files, metadata_of(spec, info.provenance))
+    if validation is not None:
+        told = {**info.provenance, "scores": scores_of(path, validation)}
+        _tell(files, metadata_of(spec, told))
+    return files
+
+
+def _tell(files: list[Path], metadata: dict[str, str]) -> None:
+    """Write metadata into a model's files, the network of floats first."""
+    for file in files:
+        model = onnx.load(file)
+        told = {entry.key: entry.value for entry in model.metadata_props} | metadata
+        if file == int8_path(files[0]):
+            told |= floats_of(files[0])
+        del model.metadata_props[:]
+        onnx.helper.set_model_props(model, told)
+        with atomic_path(file) as temporary:
+            temporary.write_bytes(model.SerializeToString())
+
+
+def main(
+    model: Annotated[str, typer.Argument(help="A model's name or file.")],
+    validation: Annotated[
+        Path | None, typer.Option(help="Sequences with references, for its scores.")
+    ] = None,
+) -> None:
+    """Give a model's files the specification of today."""
+    for path in restate(find_model(model).path, validation):
+        print(path)
+
+
+if __name__ == "__main__":
+    program.run(main)
