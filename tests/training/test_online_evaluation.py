@@ -156,3 +156,11 @@ def test_neighbours_share_a_sample_that_stays_for_eight_frames(both):
         places.append(tuple(np.argwhere(first)[0]))
     assert len(set(places[:8])) == 1
     assert places[8] != places[0]
+
+
+def test_a_model_that_learns_runs_without_learning_too():
+    found = evaluate.measure(halves(3), ["online-warm"], [], parts=True)
+    assert {"online-warm", "online-warm, nothing learned", "nothing learned"} <= set(found)
+    # nothing is learned before the second frame's picture but from the first
+    same = [found[name][1]["psnr"] for name in ("online-warm", "online-warm, nothing learned")]
+    assert same[0] != same[1]

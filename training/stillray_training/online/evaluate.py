@@ -109,6 +109,8 @@ def streams(
         halves = "color_b" in model.model.spec.inputs.required
         given = _as_it_is if halves else mean_of_halves
         yield name, lambda frame, made=model, given=given: made.denoise(given(frame))  # type: ignore[misc]
+        if halves and parts:
+            yield f"{name}, {_UNTAUGHT}", _without_learning(opened.enter_context(Denoiser(name)))
     for name in peers:
         peer = find_peer(name)
         made = peer.make()
@@ -118,12 +120,14 @@ def streams(
 
 def _parts(opened: ExitStack) -> Iterator[tuple[str, Stream]]:
     """Each of its parts without the others (figure 8)."""
-    pilots = opened.enter_context(_PilotsAlone("online"))
-    yield _PILOTS, lambda frame: without_learning(pilots, frame)
+    yield _PILOTS, _without_learning(opened.enter_context(_PilotsAlone("online")))
     alone = opened.enter_context(_NetworkAlone("online"))
     yield _NETWORK, alone.denoise
-    untaught = opened.enter_context(Denoiser("online"))
-    yield _UNTAUGHT, lambda frame: without_learning(untaught, frame)
+    yield _UNTAUGHT, _without_learning(opened.enter_context(Denoiser("online")))
+
+
+def _without_learning(denoiser: Denoiser) -> Stream:
+    return lambda frame: without_learning(denoiser, frame)
 
 
 def without_learning(denoiser: Denoiser, frame: Frame) -> np.ndarray:
@@ -256,7 +260,7 @@ def measure(
     models, peers
         Other models, and peers, by name.
     parts
-        Whether its parts run alone, too.
+        Whether its parts run alone, too, and models that learn without learning.
     pictures
         Folder for tone-mapped PNGs of the last frame with a reference.
     """
@@ -283,7 +287,9 @@ def show(folder: Path, images: Mapping[str, np.ndarray]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     exposure = display_exposure(images[_REFERENCE])
     for name, image in images.items():
-        write_png(folder / f"{name.replace(' ', '-')}.png", tone_map(image, exposure))
+        write_png(
+            folder / f"{name.replace(', ', '-').replace(' ', '-')}.png", tone_map(image, exposure)
+        )
 
 
 def read_reference(path: Path, shape: tuple[int, int]) -> np.ndarray:
@@ -297,17 +303,17 @@ def read_reference(path: Path, shape: tuple[int, int]) -> np.ndarray:
 
 def table(scores: Scores) -> list[str]:
     """Means over the frames with references, a line a method."""
-    lines = [f"{'method':16s}" + "".join(f"{name:>10s}" for name in METRICS)]
+    lines = [f"{'method':30s}" + "".join(f"{name:>10s}" for name in METRICS)]
     for name, frames in scores.items():
         means = [mean(values[metric] for values in frames.values()) for metric in METRICS]
-        lines.append(f"{name:16s}" + "".join(f"{value:10.4f}" for value in means))
+        lines.append(f"{name:30s}" + "".join(f"{value:10.4f}" for value in means))
     return lines
 
 
 def curves(scores: Scores, metric: str) -> list[str]:
     """How a metric goes over the frames with references (figure 7), a line a method."""
     return [
-        f"{name:16s}" + "".join(f"{number:5d}:{v[metric]:8.4f}" for number, v in frames.items())
+        f"{name:30s}" + "".join(f"{number:5d}:{v[metric]:8.4f}" for number, v in frames.items())
         for name, frames in scores.items()
     ]
 
