@@ -8,6 +8,7 @@ runtime as its code does, and is never read from where a model lies.
 from __future__ import annotations
 
 import math
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,13 +22,14 @@ from torch.fx.experimental.proxy_tensor import make_fx
 
 from stillray.cli import program
 from stillray.errors import InputError
-from stillray.families.online import CHECKERED
+from stillray.families.filter_network import join
+from stillray.families.online import THINNED
 from stillray.families.online_learning import CROP
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec, load
 from stillray.model_spec.network_weights import network_weights
-from stillray.models.registry import UNLISTED, require_fit
-from stillray.models.session import checked
+from stillray.models.registry import UNLISTED, find_model, require_fit
+from stillray.models.session import Network, checked
 from stillray_training.loss_log import LOG, last_step
 from stillray_training.networks.filter_parameters import Shapes, filter_parameters, split, start
 from stillray_training.online.step import LOSS_EPSILON, Learning, train_step
@@ -94,7 +96,7 @@ def network_file(spec: ModelSpec, weights: Tensor, provenance: dict[str, Any]) -
 def step_file(spec: ModelSpec) -> bytes:
     """The bytes of the graph of one step of learning, for frames' parts of `CROP` pixels."""
     layout = layout_of(spec)
-    how = Learning(layout=layout, loss_epsilon=LOSS_EPSILON, checkered=CHECKERED)
+    how = Learning(layout=layout, loss_epsilon=LOSS_EPSILON, thinned=THINNED)
     count = sum(math.prod(shape) for _, shape in layout)
     example = _example(count, len(spec.network.features))
     step = partial(train_step, how=how)
@@ -173,6 +175,8 @@ def _begin(spec: ModelSpec, run: Path | None) -> tuple[Tensor, dict[str, Any]]:
     if run is None:
         random = start(layout_of(spec), spec.training.seed)
         return random, {"data": "none: random weights", "seed": spec.training.seed}
+    if run.suffix == ".onnx":
+        return _of_model(spec, run)
     path = run / WEIGHTS
     if not path.is_file():
         raise InputError(f"run must hold {WEIGHTS}, got {run}")
@@ -183,10 +187,21 @@ def _begin(spec: ModelSpec, run: Path | None) -> tuple[Tensor, dict[str, Any]]:
     return weights, collect(run, spec, last_step(run / LOG))
 
 
+def _of_model(spec: ModelSpec, path: Path) -> tuple[Tensor, dict[str, Any]]:
+    """Weights and provenance of a model that there is, for a specification that says more now."""
+    info = find_model(path)
+    if network_weights(info.spec) != layout_of(spec):
+        raise InputError(f"run must be a model of the shapes of {spec.name}, got {path}")
+    with closing(Network(path, threads=1, providers=None)) as network:
+        held = network.run("weights", {})
+    return torch.from_numpy(join(held, layout_of(spec))), dict(info.provenance)
+
+
 def main(
     model: Annotated[str, typer.Argument(help="A specification's name.")] = "online",
     run: Annotated[
-        Path | None, typer.Option(help="Folder of `stillray_training.online.warm`.")
+        Path | None,
+        typer.Option(help="Folder of `stillray_training.online.warm`, or a model's own file."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the .onnx files.")] = Path(
         "runtime/stillray/models"

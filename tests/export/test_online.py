@@ -7,12 +7,15 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
+from stillray.errors import InputError  # noqa: E402
 from stillray.families.filter_network import split as split_arrays  # noqa: E402
-from stillray.families.online import CHECKERED  # noqa: E402
+from stillray.families.online import THINNED  # noqa: E402
 from stillray.families.online_learning import CROP  # noqa: E402
-from stillray.models.registry import find_model, steps_of  # noqa: E402
+from stillray.model_spec import load  # noqa: E402
+from stillray.models.registry import UNLISTED, find_model, steps_of  # noqa: E402
 from stillray.models.session import Network  # noqa: E402
 from stillray_export.online import layout_of  # noqa: E402
+from stillray_export.online import main as export  # noqa: E402
 from stillray_training.networks.filter_parameters import (  # noqa: E402
     Differentiable,
     filter_parameters,
@@ -61,15 +64,13 @@ def lesson(rng):
 
 
 def test_steps_are_those_of_torch_in_float64(model, network, rng):
-    """Three steps. Adam makes as much of a tiny slope as of a large, so that torch's own float32 is
-    3e-4 off after five and 8e-4 after ten (docs/decisions.md): more would compare roundings. A few
-    weights whose slope is rounding go their own way already, by a tenth of a step at most."""
+    """Twenty steps: weights whose slope is rounding must not go ways of their own."""
     layout = layout_of(model.spec)
-    how = Learning(layout=layout, loss_epsilon=LOSS_EPSILON, checkered=CHECKERED)
+    how = Learning(layout=layout, loss_epsilon=LOSS_EPSILON, thinned=THINNED)
     begun = start(layout, model.spec.training.seed)[None]
     state = [begun.double(), *[torch.zeros_like(begun).double()] * 2]
     arrays = [tensor.float().numpy() for tensor in state]
-    for number in range(1, 4):
+    for number in range(1, 21):
         crop = {**lesson(rng), "rate": np.array([1e-3], np.float32)}
         crop["step"] = np.array([number], np.float32)
         given = dict(zip(("weights", "first", "second"), arrays, strict=True))
@@ -79,15 +80,14 @@ def test_steps_are_those_of_torch_in_float64(model, network, rng):
         value, *state = train_step(*state, **exact, how=how)
         assert float(found["loss"]) == pytest.approx(float(value), rel=1e-5)
     apart = np.abs(arrays[0] - state[0].numpy())
-    assert np.quantile(apart, 0.999) < 1e-5
-    assert apart.max() < 1e-4
-    assert np.abs(arrays[0] - begun.numpy()).max() > 2e-3
+    assert apart.max() < 1e-5
+    assert np.abs(arrays[0] - begun.numpy()).max() > 1e-2
 
 
 def test_slopes_are_those_of_finite_differences(model, rng):
     """In float64: of the loss as it is written, with respect to a few weights."""
     layout = layout_of(model.spec)
-    how = Learning(layout=layout, loss_epsilon=LOSS_EPSILON, checkered=CHECKERED)
+    how = Learning(layout=layout, loss_epsilon=LOSS_EPSILON, thinned=THINNED)
     weights = start(layout, 3).double()
     crop = {name: torch.from_numpy(a[..., :16, :16]).double() for name, a in lesson(rng).items()}
     given = (crop["features"], crop["past"], crop["inside"])
@@ -97,6 +97,29 @@ def test_slopes_are_those_of_finite_differences(model, rng):
         step[index] = 1e-6
         change = loss(weights + step, *given, how) - loss(weights - step, *given, how)
         assert float(change) / 2e-6 == pytest.approx(float(slopes[index]), rel=1e-3, abs=1e-9)
+
+
+def test_a_model_is_exported_anew_with_its_own_weights(tmp_path):
+    """Where a specification says more than it did, and nothing was taught anew."""
+    model = find_model("online-warm")
+    export(model.name, run=model.path, out=tmp_path)
+    anew = find_model(tmp_path / UNLISTED / "online-warm.onnx")
+    assert anew.provenance == model.provenance
+    assert anew.spec == load(model.name)
+    given = {"features": np.full((1, 15, 32, 48), 0.5, np.float32)}
+    found = []
+    for each in (model, anew):
+        engine = Network(each.path, threads=1, providers=None)
+        (theta,) = engine.run("network", {**given, **engine.run("weights", {})}).values()
+        found.append(theta)
+        engine.close()
+    np.testing.assert_array_equal(*found)
+
+
+def test_a_model_of_another_family_gives_no_weights(tmp_path):
+    path = find_model("kpyr-5s").path
+    with pytest.raises(InputError, match="run must be a model of the shapes of online-warm, got"):
+        export("online-warm", run=path, out=tmp_path)
 
 
 def test_learned_weights_take_the_place_of_those_in_the_file(model, network, rng):

@@ -13,6 +13,7 @@ from stillray import cli
 from stillray.arrays.strips import planes_of
 from stillray.errors import InputError
 from stillray.io.exr.read_write import read_exr
+from stillray.model_spec import load
 from stillray.models.registry import find_model
 from stillray.profiling import measure as measuring
 from stillray.profiling import plot, results, scaling
@@ -111,6 +112,16 @@ def test_percentiles_are_values_that_were_measured():
     got = Summary.of(values)
     assert got == Summary(median=99.5, p95=190.0, p99=198.0, worst=199.0)
     assert Summary.of([7.0]) == Summary(median=7.0, p95=7.0, p99=7.0, worst=7.0)
+
+
+def test_made_up_frames_have_second_halves_for_models_that_learn_from_both():
+    clip = open_clip(size=SIZE)
+    halves = clip.for_model(load("online")).frames
+    for frame in halves:
+        assert frame.color_b.shape == frame.color.shape
+        assert np.abs(frame.color_b - frame.color).mean() > 0.1  # noise of its own
+        assert abs(np.median(frame.color_b) - np.median(frame.color)) < 0.1  # of the same light
+    assert all("color_b" not in frame.given for frame in clip.for_model(load("kpyr-5")).frames)
 
 
 def test_cuts_are_not_counted_as_warm_frames(monkeypatch):

@@ -83,6 +83,17 @@ def test_a_scene_without_light_is_left_out(rendered, tmp_path):
     assert [path.name for path in rendered.iterdir()] == [TAKEN]
 
 
+def test_a_scene_whose_target_is_brighter_than_its_reference_is_left_out(
+    rendered, tmp_path, monkeypatch, capsys
+):
+    """One in six hundred was brighter by 17 %: a network would learn to add light."""
+    monkeypatch.setattr("stillray_training.cycles_sequences.make_targets", lambda _: 0.17)
+    main(rendered.parent, tmp_path / "data", assets=tmp_path / "assets", remove=True)
+    assert find_sequences(tmp_path / "data") == []
+    assert "1 left out" in capsys.readouterr().out
+    assert [path.name for path in rendered.iterdir()] == [TAKEN]
+
+
 def test_renders_are_deleted_once_taken_and_not_rendered_anew(rendered, tmp_path):
     main(rendered.parent, tmp_path / "data", assets=tmp_path / "assets", remove=True)
     assert [path.name for path in rendered.iterdir()] == [TAKEN]

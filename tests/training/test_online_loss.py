@@ -4,7 +4,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from stillray.families.online import CHECKERED  # noqa: E402
+from stillray.families.online import THINNED  # noqa: E402
 from stillray.models.registry import find_model  # noqa: E402
 from stillray_export.online import layout_of  # noqa: E402
 from stillray_training.decoders.cross_bilateral import cross_bilateral  # noqa: E402
@@ -43,7 +43,7 @@ def pictures(frames, how):
         both = (clean + noise / count).clamp_min(0).reshape(6, _SIZE, _SIZE)
         features = torch.cat([both, guides, picture])[None]
         theta = filter_parameters(split(state[0][0], how.layout), features)[0]
-        filtered, _ = cross_bilateral(both, guides, _INSIDE[0], theta, checkered=CHECKERED)
+        filtered, _ = cross_bilateral(both, guides, _INSIDE[0], theta, thinned=THINNED)
         share = torch.sigmoid(theta[5]) if count > 1 else torch.ones(_SIZE, _SIZE)
         picture = torch.lerp(picture, filtered.mean(0), share)
         yield float(share.mean()), float(((picture - clean) ** 2).mean())
@@ -56,7 +56,7 @@ def test_a_still_view_does_not_freeze():
     """The last picture holds the pilots' own samples: a loss that it has a share in would learn to
     show nothing else: the share became 0, and the picture froze."""
     layout = layout_of(find_model("online").spec)
-    how = Learning(layout=layout, loss_epsilon=LOSS_EPSILON, checkered=CHECKERED)
+    how = Learning(layout=layout, loss_epsilon=LOSS_EPSILON, thinned=THINNED)
     shares, errors = zip(*pictures(24, how), strict=True)
     assert min(shares) > 0.4
     assert errors[23] < 0.7 * errors[15] < 0.7 * 0.7 * errors[7]

@@ -10,7 +10,7 @@ torch = pytest.importorskip("torch")
 from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
 from stillray.families.cross_bilateral import Estimates, cross_bilateral  # noqa: E402
-from stillray.families.online import CHECKERED  # noqa: E402
+from stillray.families.online import THINNED  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray.model_spec.network_weights import network_weights  # noqa: E402
 from stillray_training.networks.filter_parameters import (  # noqa: E402
@@ -62,7 +62,7 @@ def test_what_is_taught_is_the_picture_that_the_runtime_gives(tmp_path):
         values=values.reshape(2, 3, SIZE, SIZE), guides=guides.reshape(2, 3, SIZE, SIZE),
         past=lesson.features[12:], valid=lesson.valid[0],
     )  # fmt: skip
-    filtered = cross_bilateral(estimates, theta, Strips(1), checkered=CHECKERED)
+    filtered = cross_bilateral(estimates, theta, Strips(1), thinned=THINNED)
     image, wanted = filtered * lesson.factor, lesson.wanted
     expected = np.mean(np.abs(image - wanted) / (image + wanted + 0.01))
     planes = {name: torch.from_numpy(part) for name, part in vars(lesson).items()}

@@ -114,6 +114,13 @@ def test_blocks_give_frames_of_more_samples(blocks, small):
     quiet = [example for example in examples if example.kind == QUIET]
     assert {example.spp for example in still} <= {1.0, 3.0, 4.0, 12.0, 13.0, 15.0, 16.0}
     assert all(32 <= example.spp <= 4096 for example in quiet)
+    # one sample and no past is the hardest of all: it has its share
+    alone = []
+    for seed in range(20):
+        spec = dataclasses.replace(small, training=dataclasses.replace(small.training, seed=seed))
+        drawn = load_examples(blocks, spec, Strips(1))
+        alone += [each.spp for each in drawn if each.kind == STILL and each.frames == 1]
+    assert 0.25 < np.mean(np.array(alone) < 2) < 0.65
     for example in quiet:
         light = example.sample[..., :3] * example.demodulation_albedo
         off = np.median(np.abs(light - example.reference))

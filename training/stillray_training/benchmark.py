@@ -22,7 +22,7 @@ from stillray.cli import program
 from stillray.cli.output import status
 from stillray.io.exr.read_write import atomic_path
 from stillray.models.registry import list_models
-from stillray.profiling.clip import Clip, open_clip
+from stillray.profiling.clip import MADE_UP, Clip, open_clip
 from stillray.profiling.cost import stage_costs
 from stillray.profiling.machine import describe, measure_peak_rates, output_of, peak_resident
 from stillray.profiling.measure import (
@@ -187,7 +187,12 @@ def main(
     height: Annotated[int, typer.Option(min=1)] = 720,
     width: Annotated[int, typer.Option(min=1)] = 1280,
     seconds: Annotated[float, typer.Option(min=0, help="Of the rounds.")] = 90,
-    sequence: Annotated[str, typer.Option(help="Frames to tile.")] = SEQUENCE,
+    sequence: Annotated[
+        str, typer.Option(help=f"Frames to tile; {MADE_UP}: made up, with second halves.")
+    ] = SEQUENCE,
+    model: Annotated[
+        list[str] | None, typer.Option(help="Ours; repeatable; all listed unless given.")
+    ] = None,
     scaling: Annotated[bool, typer.Option(help="Measure the scaling curves.")] = True,
     report: Annotated[
         Path | None, typer.Option(help="Write the figures as Markdown, pictures beside it.")
@@ -195,7 +200,8 @@ def main(
     only: Annotated[str, typer.Option(hidden=True)] = "",
 ) -> None:
     """Print times, ratios, stages, memory and how they grow."""
-    clip = open_clip(sequence, (height, width))
+    source = None if sequence == MADE_UP else sequence
+    clip = open_clip(source, (height, width))
     if only:
         for turn in range(3):
             run_peer(only, clip, turn)
@@ -203,14 +209,14 @@ def main(
         return
     threads = available_threads()
     settings = [
-        Setting(model=info.name, height=height, width=width, threads=threads)
-        for info in list_models()
+        Setting(model=name, height=height, width=width, threads=threads)
+        for name in model or [info.name for info in list_models()]
     ]
     with status("rounds") as progress:
         peaks = measure_peak_rates(threads)
         runs, peers = measure_in_turn(settings, clip, seconds)
         progress("memory")
-        ours = measure_memory(settings, sequence)
+        ours = measure_memory(settings, source)
         memory = dict(zip((run.info.name for run in runs), ours, strict=True))
         memory |= peer_memory(list(peers), settings[0], sequence)
         curves = (

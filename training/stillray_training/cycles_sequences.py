@@ -27,11 +27,14 @@ from stillray_training.own_renders import layers_of
 from stillray_training.simulate.sequence import RECORD, is_complete, write
 from stillray_training.targets import make_targets
 
+_BRIGHTNESS = 0.03  # by which a target may be off its reference: more, and it teaches that, too
+
 
 def take(rendered: Path, out: Path, assets: Path | None = None) -> float | None:
-    """One scene's files as a sequence, with its target; None if it is there, or has no light.
+    """One scene's files as a sequence, with its target.
 
-    A room of a seed may have no window and its only lamp inside of a thing.
+    A scene is left out if it has no light (a room of a seed may have no window and its only lamp
+    inside of a thing), or if filtering changed the brightness of its reference by more than 3 %.
 
     Parameters
     ----------
@@ -45,7 +48,8 @@ def take(rendered: Path, out: Path, assets: Path | None = None) -> float | None:
     Returns
     -------
     float
-        Mean brightness of the target over the reference's, minus 1, tone-mapped.
+        Mean brightness of the target over the reference's, minus 1, tone-mapped; None if the
+        sequence is there already, or the scene has no light.
 
     Raises
     ------
@@ -82,6 +86,9 @@ def take(rendered: Path, out: Path, assets: Path | None = None) -> float | None:
         "renderer": f"Cycles, Blender {given['blender']}",
     }
     bias = make_targets(out)
+    if abs(bias) > _BRIGHTNESS:
+        shutil.rmtree(out)
+        return bias
     # last: a sequence that has it is complete
     with atomic_path(out / RECORD) as temporary:
         temporary.write_text(json.dumps(record, indent=1))
@@ -119,11 +126,14 @@ def main(
             shutil.rmtree(folder)
             folder.mkdir()
             (folder / TAKEN).touch()
-    if biases:
+    taken = [bias for bias in biases if abs(bias) <= _BRIGHTNESS]
+    if taken:
         print(
-            f"{len(biases)} sequences; brightness of targets against the references: "
-            f"mean {np.mean(biases):+.4f}, from {np.min(biases):+.4f} to {np.max(biases):+.4f}"
+            f"{len(taken)} sequences; brightness of targets against the references: "
+            f"mean {np.mean(taken):+.4f}, from {np.min(taken):+.4f} to {np.max(taken):+.4f}"
         )
+    if len(taken) < len(biases):
+        print(f"{len(biases) - len(taken)} left out: brighter or darker by {_BRIGHTNESS:.0%}")
 
 
 if __name__ == "__main__":

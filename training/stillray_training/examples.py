@@ -222,14 +222,15 @@ def _lit_example(
 def _stills(
     blocks: list[tuple[Frame, float]], rng: np.random.Generator, number: int
 ) -> Iterator[tuple[Frame, float]]:
-    """So many frames of 2 samples a pixel to all that there are, and their counts."""
+    """So many frames of 1 sample a pixel to all that there are, and their counts."""
+    most = sum(count for _, count in blocks)
+    fewest = min(count for _, count in blocks)
     for _ in range(number):
-        most = sum(count for _, count in blocks)
-        wanted = np.exp(rng.uniform(np.log(2), np.log(most)))
+        wanted = max(float(np.exp(rng.uniform(0, np.log(most)))), fewest)
         chosen: list[tuple[Frame, float]] = []
         count = 0.0
         for index in rng.permutation(len(blocks)):
-            if not chosen or count + blocks[index][1] <= wanted:
+            if count + blocks[index][1] <= wanted:
                 chosen.append(blocks[index])
                 count += blocks[index][1]
         yield mean_frame(chosen), count

@@ -93,3 +93,24 @@ def feature_filters_cost(levels: int, options: FeatureFilters) -> tuple[float, f
     operations += 2 * 3 * 2 + 4 * (EXP + 2 * 3) + 2 * EXP + 3 * 3
     planes += 9 + 8 + 4 + 3 + 4 + 3
     return operations, planes
+
+
+def cross_bilateral_cost(neighbours: int) -> tuple[float, float]:
+    """The same of a cross-bilateral filter of two estimates by two guides, blended with a past."""
+    # four differences of three channels, squared and added; their bands and the place's; two
+    # weights, and the light of two estimates
+    each = 4 * (3 * 2 + 2) + 4 + 4 + 2 * (EXP + 1 + 3 * 2)
+    return neighbours * each + 5 * 3 + 2 * 3 * 2 + EXP + 3 * 2, 4 * 3 + 6 + 3 + 1 + 3
+
+
+def cross_regression_cost(
+    window: int, spacing: int, variables: int, guides: int
+) -> tuple[float, float]:
+    """The same of lines fitted to both halves, in a window around one pixel in ``spacing**2``."""
+    # weights by guides serve both halves
+    alike = 3 * guides + EXP + 1
+    # weights by color, three variables of it; normal equations of three channels; what lines say
+    products = 2 * variables * (variables + 3)
+    each = 3 * 3 + 4 + EXP + 3 * 2 + products + 2 * 3 * variables + 2 * 4
+    share = window**2 / spacing**2  # windows that a pixel lies in
+    return share * (alike + 2 * each) + 2 * (9 * 2 + 3 * 4), 2 * 3 + guides + 2 * 3

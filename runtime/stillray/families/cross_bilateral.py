@@ -12,8 +12,10 @@ from stillray.arrays.strips import STRIP_PIXELS, Strips
 WINDOW = 11  # pixels, odd (below eq. 8)
 EPSILON = np.float32(1e-4)  # of eq. 9, in squared bands
 _REACH = WINDOW // 2
-# pixels that are filtered at once: some sixty planes of so many stay in a core's cache
-_STRIP_PIXELS = 1 << 12
+_COLORS = 3
+# Pixels that are filtered at once: smaller strips stay in a nearer cache, but two threads wait for
+# one another at the interpreter's lock all the more often.
+_STRIP_PIXELS = 1 << 15
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,20 +40,25 @@ class Estimates:
     valid: np.ndarray
 
 
-def taps(checkered: bool) -> list[tuple[int, int]]:
+def taps(thinned: bool) -> list[tuple[int, int]]:
     """Neighbours that a window sees, ``(row, column)`` from its center.
 
     Parameters
     ----------
-    checkered
-        Whether only every other one, as the black squares of a chessboard, the center among them.
+    thinned
+        Whether only the center, its four diagonal neighbours, and of those beyond every other row
+        and column: 29 in place of 121 (docs/decisions.md has what that changes).
     """
     reach = range(-_REACH, _REACH + 1)
-    return [(y, x) for y in reach for x in reach if not checkered or (y + x) % 2 == 0]
+    window = [(y, x) for y in reach for x in reach]
+    if not thinned:
+        return window
+    diagonal = [place for place in window if abs(place[0]) == abs(place[1]) == 1]
+    return sorted(diagonal + [(y, x) for y, x in window if y % 2 == x % 2 == 0])
 
 
 def cross_bilateral(
-    estimates: Estimates, parameters: np.ndarray, strips: Strips, *, checkered: bool
+    estimates: Estimates, parameters: np.ndarray, strips: Strips, *, thinned: bool
 ) -> np.ndarray:
     """Filter both estimates, blend each with the past, and combine them (eq. 8 to 10).
 
@@ -67,7 +74,7 @@ def cross_bilateral(
         of this frame's share.
     strips
         Where the work runs.
-    checkered
+    thinned
         See `taps`.
 
     Returns
@@ -76,32 +83,46 @@ def cross_bilateral(
         In the workspace of this thread.
     """
     height, width = estimates.valid.shape
-    size = height + 2 * _REACH, width + 2 * _REACH
-    workspace = strips.workspace
-    # what has bands: estimates, albedo, normals; in memory that the regression needs no more
-    planes = workspace.array("surrounded", (4, 3, *size))
-    out = workspace.array("combined", (3, height, width))
-    offsets = taps(checkered)
-
-    def carry_on(rows: slice) -> None:
-        surround(estimates.values, planes[:2], _REACH, rows)
-        surround(estimates.guides, planes[2:], _REACH, rows)
+    offsets = taps(thinned)
+    planes = _interleaved(estimates, strips)
+    out = strips.workspace.array("combined", (3, height, width))
 
     def work(rows: slice) -> None:
         theta = parameters[:, rows, :width]
         sums, weights = _sums(planes, theta, rows, height, offsets)
-        sums /= weights[:, None]
+        sums /= weights
         with np.errstate(over="ignore"):
             share = 1 - estimates.valid[rows] / (1 + np.exp(theta[-1]))
-        now = sums[0] * weights[0] + sums[1] * weights[1]
+        now = sums[:, 0] * weights[0] + sums[:, 1] * weights[1]
         now /= weights[0] + weights[1]
         # both estimates are blended with one past by one share: so is their combination
         past = estimates.past[:, rows]
         out[:, rows] = past + share * (now - past)
 
-    strips.run(carry_on, *size, pixels=STRIP_PIXELS // 4)
     strips.run(work, height, width, pixels=_STRIP_PIXELS)
     return out
+
+
+def _interleaved(estimates: Estimates, strips: Strips) -> np.ndarray:
+    """What has bands, row by row, carried on as far as windows reach: ``(H, 3, 4, W)``.
+
+    A row's planes lie one behind the other, so that a strip seen from any neighbour is one run of
+    memory: several times as fast as plane by plane. Above and below lies a row more, for what runs
+    over. Of the four groups the first two are the estimates.
+    """
+    height, width = estimates.valid.shape
+    size = height + 2 * _REACH, width + 2 * _REACH
+    # in memory that the regression needs no more
+    planes = strips.workspace.array("surrounded", (size[0] + 2, _COLORS, 4, size[1]))
+    planes[0] = planes[-1] = 0
+    by_group = planes[1:-1].transpose(2, 1, 0, 3)
+
+    def carry_on(rows: slice) -> None:
+        surround(estimates.values, by_group[:2], _REACH, rows)
+        surround(estimates.guides, by_group[2:], _REACH, rows)
+
+    strips.run(carry_on, *size, pixels=STRIP_PIXELS // 4)
+    return planes
 
 
 def _sums(
@@ -111,38 +132,41 @@ def _sums(
     height: int,
     offsets: list[tuple[int, int]],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted sums ``(2, 3, h, w)`` and sums of weights ``(2, h, w)`` of a strip's windows."""
+    """Weighted sums ``(3, 2, h, w)`` and sums of weights ``(2, h, w)`` of a strip's windows."""
     _, count, width = theta.shape
-    slopes = -1 / (np.square(theta[:5]) + EPSILON)
-    of_place, slopes = slopes[4], slopes[:4]
-    own = planes[:, :, rows.start + _REACH : rows.stop + _REACH, _REACH : _REACH + width]
-    sums, weights = np.zeros((2, 3, count, width), np.float32), np.zeros((2, count, width), "f4")
-    apart, moved = np.empty((4, 3, count, width), "f4"), np.empty_like(sums)
-    exponent, shared = np.empty((4, count, width), "f4"), np.empty((count, width), "f4")
+    full = planes.shape[-1]
+    inner = slice(_REACH, _REACH + width)
+    # columns around the frame are computed along, with slopes of 0, and dropped
+    slopes = np.zeros((count, 5, full), np.float32)
+    slopes[..., inner] = (-1 / (np.square(theta[:5]) + EPSILON)).transpose(1, 0, 2)
+    slopes, of_place = slopes[:, :4], slopes[:, 4]
+    flat, pitch = planes.reshape(-1), planes[0].size
+    first = (rows.start + _REACH + 1) * pitch
+    own = flat[first : first + count * pitch]
+    apart = np.empty((count, _COLORS, 4, full), np.float32)
+    exponent, shared = np.empty((count, 4, full), "f4"), np.empty((count, full), "f4")
+    weight, weights = np.empty((count, 2, full), "f4"), np.zeros((count, 2, full), "f4")
+    moved, sums = np.empty((2, count, _COLORS, 2, full), np.float32)
+    sums[:] = 0
     for y, x in offsets:
         least, most = max(0, -x), min(width, width - x)
         top, bottom = max(0, -y - rows.start), min(count, height - y - rows.start)
         if least >= most or top >= bottom:
             continue
-        there = (
-            slice(rows.start + y + _REACH, rows.stop + y + _REACH),
-            slice(x + _REACH, x + _REACH + width),
-        )
-        np.subtract(planes[:, :, *there], own, out=apart)
+        there = flat[first + y * pitch + x :][: count * pitch]
+        np.subtract(there, own, out=apart.reshape(-1))
         np.square(apart, out=apart)
         np.add(apart[:, 0], apart[:, 1], out=exponent)
         exponent += apart[:, 2]
         exponent *= slopes
         np.multiply(of_place, np.float32((y * y + x * x) / _REACH**2), out=shared)
-        shared += exponent[2]
-        shared += exponent[3]
-        weight = exponent[:2]
-        weight += shared
+        shared += exponent[:, 2]
+        shared += exponent[:, 3]
+        np.add(exponent[:, :2], shared[:, None], out=weight)
         np.exp(weight, out=weight)
-        if (top, bottom, least, most) != (0, count, 0, width):
-            weight[:, :top] = weight[:, bottom:] = 0
-            weight[:, :, :least] = weight[:, :, most:] = 0
+        weight[:top] = weight[bottom:] = 0
+        weight[..., : _REACH + least] = weight[..., _REACH + most :] = 0
         weights += weight
-        np.multiply(planes[:2, :, *there], weight[:, None], out=moved)
+        np.multiply(there.reshape(apart.shape)[:, :, :2], weight[:, None], out=moved)
         sums += moved
-    return sums, weights
+    return sums[..., inner].transpose(1, 2, 0, 3), weights[..., inner].transpose(1, 0, 2)

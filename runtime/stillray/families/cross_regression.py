@@ -22,6 +22,7 @@ WINDOW = 17  # pixels, odd (section 3)
 SPACING = 6
 _REACH = WINDOW // 2
 _PIXELS = WINDOW**2
+_APART = -(-WINDOW // SPACING)  # centers whose windows do not overlap
 # Epsilon of eq. 6, in log radiance, and its square for eq. 7: noise that no eye sees.
 _NOISE = np.float32(0.01)
 # Tikhonov: the mean square that an explanatory variable must have in a window, in its own unit, to
@@ -33,7 +34,7 @@ ALONE = np.float32(0.1)
 _LEAST_WEIGHT = 1e-6  # of a window, in pixels: outside of frames there is nothing to fit
 # Centers whose windows are taken out at once, and rows of centers that are added up at once:
 # constants, as sums must not depend on strips.
-_CENTERS = 64
+_CENTERS = 128
 _ROWS = 4
 _COLORS = 3
 
@@ -160,7 +161,8 @@ def _block(
 ) -> np.ndarray:
     """Sums of eq. 5 over some rows of centers: ``(2, 4, h, w)``, of both halves."""
     height = SPACING * (len(rows) - 1) + WINDOW
-    sums = np.zeros((2, _COLORS + 1, height, shared.shape[2]), np.float32)
+    # so wide that the last window lies in a whole stretch of `_add_windows`
+    sums = np.zeros((2, _COLORS + 1, height, shared.shape[2] + _APART * SPACING), np.float32)
     for row in rows:
         top = SPACING * (row - rows.start)
         for left in range(0, columns, _CENTERS):
@@ -168,8 +170,9 @@ def _block(
             count = min(_CENTERS, columns - left)
             take = partial(_windows, row=row, left=left, count=count)
             common = take(shared)
-            # 1, color, guides, in that order: the color is written over for the second half
-            variables = np.empty((count, _COLORS + len(shared), _PIXELS), np.float32)
+            # 1, color, guides, and what is explained: colors are written over for the second half
+            table = np.empty((count, 2 * _COLORS + len(shared), _PIXELS), np.float32)
+            variables, targets = table[:, :-_COLORS], table[:, -_COLORS:]
             variables[:, 0] = 1
             middle = common[..., _PIXELS // 2, None]
             np.subtract(common[:, :-1], middle[:, :-1], out=variables[:, 1 + _COLORS :])
@@ -177,7 +180,8 @@ def _block(
             seen = [take(planes) for planes in padded]
             for half, planes in enumerate(seen):
                 weights = _explain(planes, alike, variables)
-                lines = _fit(variables, weights, seen[1 - half][:, :_COLORS])
+                targets[:] = seen[1 - half][:, :_COLORS]
+                lines = _fit(table, weights)
                 said = lines @ variables
                 said *= weights[:, None]
                 where = sums[half, :, top : top + WINDOW]
@@ -233,17 +237,16 @@ def _explain(planes: np.ndarray, alike: np.ndarray, variables: np.ndarray) -> np
     return weights
 
 
-def _fit(variables: np.ndarray, weights: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """Weighted least squares (eq. 4): ``(count, 3, variables)``."""
-    size = variables.shape[1]
-    weighed = variables * weights[:, None]
-    normal = (weighed @ variables.transpose(0, 2, 1)).astype(np.float64)
-    right = (weighed @ targets.transpose(0, 2, 1)).astype(np.float64)
+def _fit(table: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Weighted least squares (eq. 4) of the last three planes: ``(count, 3, variables)``."""
+    size = table.shape[1] - _COLORS
+    weighed = table[:, :size] * weights[:, None]
+    products = (weighed @ table.transpose(0, 2, 1)).astype(np.float64)
+    normal, right = products[..., :size], products[..., size:]
     total = normal[:, 0, 0].copy()
     diagonal = np.einsum("nii->ni", normal)
     diagonal[:, 1:] += RIDGE * total[:, None] + _LEAST_WEIGHT
     diagonal[:, 0] += _LEAST_WEIGHT
-    assert diagonal.shape[1] == size
     lines = np.linalg.solve(normal, right)
     wrong = ~np.isfinite(lines).all(axis=(1, 2))
     if wrong.any():  # the weighted mean
@@ -253,15 +256,21 @@ def _fit(variables: np.ndarray, weights: np.ndarray, targets: np.ndarray) -> np.
 
 
 def _add_windows(sums: np.ndarray, said: np.ndarray, weights: np.ndarray, left: int) -> None:
-    """Add windows of what lines say, and of weights, at their places in rows of a block."""
+    """Add windows of what lines say, and of weights, at their places in rows of a block.
+
+    Windows so far apart that they do not overlap are added at once, row by row of a window.
+    """
     count = len(said)
-    said = said.reshape(count, _COLORS, WINDOW, WINDOW).transpose(1, 2, 3, 0)
-    weights = weights.reshape(count, WINDOW, WINDOW).transpose(1, 2, 0)
-    start = SPACING * left + SPACING // 2
-    for column in range(WINDOW):
-        at = slice(start + column, start + column + SPACING * count, SPACING)
-        sums[:_COLORS, :, at] += said[:, :, column]
-        sums[_COLORS, :, at] += weights[:, column]
+    planes = said.reshape(count, _COLORS, WINDOW, WINDOW).transpose(1, 2, 0, 3)
+    shares = weights.reshape(count, WINDOW, WINDOW).transpose(1, 0, 2)
+    step = _APART * SPACING
+    for first in range(min(_APART, count)):
+        number = len(range(first, count, _APART))
+        start = SPACING * (left + first) + SPACING // 2
+        # of each stretch a window takes the beginning
+        at = sums[..., start : start + step * number].reshape(*sums.shape[:2], number, step)
+        at[:_COLORS, ..., :WINDOW] += planes[:, :, first::_APART]
+        at[_COLORS, ..., :WINDOW] += shares[:, first::_APART]
 
 
 def _limit(estimate: np.ndarray, explained: np.ndarray, inside: slice) -> None:

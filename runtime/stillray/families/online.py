@@ -18,8 +18,9 @@ from stillray.arrays.extend import surround
 from stillray.arrays.strips import STRIP_PIXELS, Strips, planes_of
 from stillray.families import filter_network
 from stillray.families.contract import Context, Engine, Request, State, Step, Traits
-from stillray.families.cross_bilateral import Estimates, cross_bilateral
-from stillray.families.cross_regression import pilots
+from stillray.families.cost import cross_bilateral_cost, cross_regression_cost
+from stillray.families.cross_bilateral import Estimates, cross_bilateral, taps
+from stillray.families.cross_regression import SPACING, WINDOW, pilots
 from stillray.families.online_learning import Learned, Learner, Lesson
 from stillray.families.online_past import (
     Past,
@@ -46,8 +47,8 @@ _log = logging.getLogger("stillray")
 _COLORS = 3
 #: Differences of albedo and of normals at which a pixel counts 1/e in the regression.
 GUIDE_UNITS = np.array([0.15] * 3 + [0.5] * 3, np.float32)
-#: Chessboard of a window's neighbours, see `cross_bilateral.taps`; the graph of a step has it too.
-CHECKERED = True
+#: A part of a window's neighbours, see `cross_bilateral.taps`; the graph of a step has it too.
+THINNED = True
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,13 +90,23 @@ class OnlineModel:
         # the second half takes its geometry and its albedo from the first
         self._specs = (spec, replace(spec, temporal=replace(spec.temporal, albedo_samples=0.0)))
         self._shapes = network_weights(spec)
-        self._multiple = 2 ** (len(spec.network.widths) - 1)
+        #: What a network's height and width are multiples of, pixels.
+        self.alignment = 2 ** (len(spec.network.widths) - 1)
         self.traits = Traits(
             required=frozenset(spec.inputs.required),
             optional=frozenset(spec.inputs.optional),
             memory=None,
             linear=False,
         )
+
+    @property
+    def costs(self) -> dict[str, tuple[float, float]]:
+        """Operations and planes a pixel of the stages that are this family's alone."""
+        guides = len(GUIDE_UNITS)
+        return {
+            "regress": cross_regression_cost(WINDOW, SPACING, 1 + _COLORS + guides, guides),
+            "filter": cross_bilateral_cost(len(taps(THINNED))),
+        }
 
     def plan(
         self, frame: Frame, before: State | Plan | None, request: Request, context: Context
@@ -231,7 +242,7 @@ class OnlineModel:
 
     def filter(self, estimates: Estimates, theta: np.ndarray, strips: Strips) -> np.ndarray:
         """The picture's irradiance, ``(3, h, w)``, as `Estimates` are; for ablations as well."""
-        return cross_bilateral(estimates, theta, strips, checkered=CHECKERED)
+        return cross_bilateral(estimates, theta, strips, thinned=THINNED)
 
     def pack(self, state: State) -> dict[str, np.ndarray]:
         """A state as arrays by name, of which `unpack` makes the same state."""
@@ -254,7 +265,7 @@ class OnlineModel:
         It grows by repeating the last column and row. ``given`` are its planes, ``(..., h, w)``.
         """
         parts = [planes.reshape(-1, *planes.shape[-2:]) for planes in given]
-        full = [-(-size // self._multiple) * self._multiple for size in parts[0].shape[1:]]
+        full = [-(-size // self.alignment) * self.alignment for size in parts[0].shape[1:]]
         planes = context.workspace.array("features", (1, sum(map(len, parts)), *full))
 
         def fill(rows: slice) -> None:

@@ -375,7 +375,7 @@ class Denoiser:
 
 
 #: How a buffer that is missing comes about, where that is not plain.
-_HOW = {"color_b": ": render the same frame again with another seed"}
+_HOW = {"color_b": ": render the same frame again with another seed (--color-b)"}
 
 
 def _grey(alpha: np.ndarray | None, strips: Strips) -> np.ndarray:

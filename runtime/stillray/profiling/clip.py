@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr, write_channels
 from stillray.io.file_sequence import expand
+from stillray.model_spec import ModelSpec
 from stillray.profiling.synthetic import swing, tiled
 
 MADE_UP = "synthetic"
@@ -48,6 +49,12 @@ class Clip:
         """Height and width in pixels."""
         return self.frames[0].shape
 
+    def for_model(self, spec: ModelSpec) -> Clip:
+        """The same with a second half of each frame's samples only if a model learns from both."""
+        if "color_b" in spec.inputs.required or "color_b" not in self.frames[0].given:
+            return self
+        return replace(self, frames=tuple(replace(frame, color_b=None) for frame in self.frames))
+
     def frame(self, turn: int) -> tuple[Frame, bool]:
         """The frame of a turn, and whether it has no past: turn 0, and every later cut."""
         index = turn % len(self.frames)
@@ -72,14 +79,17 @@ def open_clip(source: str | None = None, size: tuple[int, int] | None = None) ->
         A file is missing or cannot be used.
     """
     if source is None:
-        return Clip(frames=swing(*(size or DEFAULT_SIZE)), endless=True)
+        shape = size or DEFAULT_SIZE
+        halves = zip(swing(*shape), swing(*shape, seed=1), strict=True)
+        frames = tuple(replace(first, color_b=second.color) for first, second in halves)
+        return Clip(frames=frames, endless=True)
     paths = [file.path for file in expand(source)[:_MOST_FRAMES]]
-    frames = [read_exr(path) for path in paths]
-    shape = size or frames[0].shape
-    whole = all(frame.shape == shape for frame in frames)
+    read = [read_exr(path) for path in paths]
+    shape = size or read[0].shape
+    whole = all(frame.shape == shape for frame in read)
     return Clip(
-        frames=tuple(tiled(frame, *shape) for frame in frames),
-        endless=len(frames) == 1,  # one frame over and over is a still
+        frames=tuple(tiled(frame, *shape) for frame in read),
+        endless=len(read) == 1,  # one frame over and over is a still
         path=paths[0] if whole else None,
     )
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from stillray.families.cost import EXP, WINDOW_SUM
 from stillray.families.feature_filters import FeatureFiltersModel
+from stillray.families.online import OnlineModel
 from stillray.families.registry import family_of
 from stillray.families.temporal_kernels import TemporalKernels
 from stillray.frame import Frame
@@ -62,8 +63,8 @@ def stage_costs(info: ModelInfo, frame: Frame, precision: str = "float32") -> di
     Parameters
     ----------
     info
-        The model: one that filters by kernels, or that doubles frames; of others nothing is known,
-        nor of a frame graph, whose stages are not told apart.
+        The model. Of one that learns while it denoises network, regression and filter are known,
+        of a frame graph, whose stages are not told apart, nothing.
     frame
         Its size and the buffers that it holds count, not its values.
     precision
@@ -80,6 +81,9 @@ def stage_costs(info: ModelInfo, frame: Frame, precision: str = "float32") -> di
     elif isinstance(family, TemporalKernels):
         network = _network(info, height, width, family.traits.tile_alignment)
         stages = _each_pixel(family, frame)
+    elif isinstance(family, OnlineModel):
+        network = _network(info, height, width, family.alignment)
+        stages = family.costs
     else:
         return {}
     if precision == "int8":

@@ -28,7 +28,8 @@ TOTAL, REST = "total", "rest"
 ORDER = (
     "read", "inspect", "repair", "demodulate", "expose", "specular_motion", "surface_guides",
     "reproject", "reject_history", "accumulate", "accumulate_albedo", "resample_output", "enlarge",
-    "warp", "encode", "network", "reconstruct", "remodulate", "layers", "keep_output", "remember",
+    "regress", "warp", "encode", "network", "filter", "reconstruct", "remodulate", "layers",
+    "learn", "keep_output", "remember",
     FRAME, REST, "write",
 )  # fmt: skip
 _SETTLING = 2  # frames that still allocate: two histories change places
@@ -148,7 +149,7 @@ def measure(
                     setting=setting,
                     info=denoiser.model,
                     precision=denoiser.precision,
-                    buffers=tuple(sorted(clip.frames[0].given)),
+                    buffers=tuple(sorted(stream.clip.frames[0].given)),
                     load=load,
                     load_busy=load_busy,
                     first=first,
@@ -184,13 +185,13 @@ class Stream:
     """A clip through a denoiser, frame after frame without end."""
 
     def __init__(self, denoiser: Denoiser, clip: Clip) -> None:
-        self._denoiser, self._clip = denoiser, clip
+        self._denoiser, self.clip = denoiser, clip.for_model(denoiser.model.spec)
         self._turn = 0
         self.image = np.zeros(0)  # the last result
 
     def next_frame(self) -> dict[str, float]:
         """Denoise a frame: milliseconds of its stages."""
-        frame, cut = self._clip.frame(self._turn)
+        frame, cut = self.clip.frame(self._turn)
         self._turn += 1
         if cut:
             self._denoiser.reset()
@@ -202,7 +203,7 @@ class Stream:
 
     def next_warm_frame(self) -> dict[str, float]:
         """The next one that has a past."""
-        if self._denoiser.temporal and self._clip.frame(self._turn)[1]:
+        if self._denoiser.temporal and self.clip.frame(self._turn)[1]:
             self.next_frame()
         return self.next_frame()
 

@@ -12,20 +12,20 @@ from stillray.families.cross_bilateral import EPSILON, WINDOW, taps
 _REACH = WINDOW // 2
 
 
-def neighbours(planes: Tensor, checkered: bool) -> Tensor:
+def neighbours(planes: Tensor, thinned: bool) -> Tensor:
     """What each pixel's window holds: ``(c, h, w)`` to ``(taps, c, h, w)``, zeros outside."""
     height, width = planes.shape[1:]
     padded = F.pad(planes, (_REACH,) * 4)
     return torch.stack(
         [
             padded[:, y + _REACH : y + _REACH + height, x + _REACH : x + _REACH + width]
-            for y, x in taps(checkered)
+            for y, x in taps(thinned)
         ]
     )
 
 
 def cross_bilateral(
-    pilots: Tensor, guides: Tensor, inside: Tensor, parameters: Tensor, *, checkered: bool
+    pilots: Tensor, guides: Tensor, inside: Tensor, parameters: Tensor, *, thinned: bool
 ) -> tuple[Tensor, Tensor]:
     """Both estimates filtered in space, and the sums of their weights (eq. 8, first part; eq. 9).
 
@@ -46,11 +46,11 @@ def cross_bilateral(
     weights : (2, h, w)
     """
     height, width = inside.shape[1:]
-    around = neighbours(torch.cat([pilots, guides, inside]), checkered)
+    around = neighbours(torch.cat([pilots, guides, inside]), thinned)
     count = len(around)
     apart = (around[:, :12] - torch.cat([pilots, guides])) ** 2
     squares = apart.reshape(count, 4, 3, height, width).sum(2)
-    places = torch.tensor([(y * y + x * x) / _REACH**2 for y, x in taps(checkered)])
+    places = torch.tensor([(y * y + x * x) / _REACH**2 for y, x in taps(thinned)])
     # split, not sliced: the derivative of a slice is a plane of zeros that is written into
     bands, place, _ = parameters.split([4, 1, 1])
     of_halves, of_guides = (squares / (bands**2 + float(EPSILON))).split([2, 2], 1)

@@ -19,13 +19,11 @@ from stillray_training.networks.filter_parameters import (
     split,
 )
 
-#: Of Adam (Kingma and Ba 2015): decays of both moments, and what keeps 0/0 out, which is that of
-#: TensorFlow, in which the paper's network was made: steps by slopes that are rounding stay small.
+#: Of Adam (Kingma and Ba 2015): decays of both moments, and what keeps 0/0 out. It is that of usual
+#: slopes of weights that matter: with 1e-7 a weight whose slope is rounding makes steps as long as
+#: any other, and no two processors would learn the same (docs/decisions.md).
 BETAS = (0.9, 0.999)
-ADAM_EPSILON = 1e-7
-# Both sides of Adam's quotient are multiplied by it: the exporter's optimiser takes what is as
-# small as an epsilon for 0.
-_SCALE = 1e4
+ADAM_EPSILON = 1e-4
 LOSS_EPSILON = 1e-2  # of eq. 12 and 13, in squares of pilots
 
 
@@ -39,13 +37,13 @@ class Learning:
         Names and shapes of the weights.
     loss_epsilon
         Of eq. 12 and 13, in squares of pilots.
-    checkered
+    thinned
         See `stillray.families.cross_bilateral.taps`.
     """
 
     layout: Shapes
     loss_epsilon: float
-    checkered: bool
+    thinned: bool
 
 
 def loss(weights: Tensor, features: Tensor, past: Tensor, inside: Tensor, how: Learning) -> Tensor:
@@ -70,9 +68,7 @@ def loss(weights: Tensor, features: Tensor, past: Tensor, inside: Tensor, how: L
     """
     planes, valid = features[0], past[0, 6:]
     theta = filter_parameters(split(weights, how.layout), features, Differentiable())[0]
-    filtered, _ = cross_bilateral(
-        planes[:6], planes[6:12], inside[0], theta, checkered=how.checkered
-    )
+    filtered, _ = cross_bilateral(planes[:6], planes[6:12], inside[0], theta, thinned=how.thinned)
     height, width = inside.shape[2:]
     now = planes[:6].reshape(2, 3, height, width).flip(0)
     before = past[0, :6].reshape(2, 3, height, width).flip(0)
@@ -121,6 +117,5 @@ def train_step(
     second = BETAS[1] * second + (1 - BETAS[1]) * slope**2
     # beta ** step
     decays = [1 - torch.exp(step * math.log(beta)) for beta in BETAS]
-    length = _SCALE * torch.sqrt(second / decays[1]) + _SCALE * ADAM_EPSILON
-    change = _SCALE * (first / decays[0]) / length
+    change = first / decays[0] / (torch.sqrt(second / decays[1]) + ADAM_EPSILON)
     return value[None], weights - rate * change, first, second

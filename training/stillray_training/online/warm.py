@@ -32,7 +32,7 @@ from stillray.compare.display import display_exposure
 from stillray.errors import InputError
 from stillray.families.contract import State
 from stillray.families.cross_bilateral import Estimates
-from stillray.families.online import CHECKERED, OnlineModel
+from stillray.families.online import THINNED, OnlineModel
 from stillray.families.online_learning import Learned
 from stillray.families.registry import FAMILIES
 from stillray.io.atomic import atomic_path
@@ -160,7 +160,7 @@ def picture_loss(weights: Tensor, lesson: dict[str, Tensor], layout: Shapes) -> 
     planes = lesson["features"]
     theta = filter_parameters(split(weights, layout), planes[None])[0]
     filtered, totals = cross_bilateral(
-        planes[:6], planes[6:12], torch.ones_like(planes[:1]), theta, checkered=CHECKERED
+        planes[:6], planes[6:12], torch.ones_like(planes[:1]), theta, thinned=THINNED
     )
     now = (filtered * totals[:, None]).sum(0) / totals.sum(0)
     share = 1 - lesson["valid"] * torch.sigmoid(-theta[5:])
