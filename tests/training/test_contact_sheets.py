@@ -39,7 +39,9 @@ def test_a_crop_beyond_the_frame_is_refused(place):
 
 
 def test_every_sheet_has_six_places_and_a_name_of_its_own():
-    side, enlargement, sheets = read_sheets(CROPS)
-    assert side * enlargement == 192
+    files = [CROPS, CROPS.with_name("contact_sheets_mirrors.toml")]
+    read = [read_sheets(path) for path in files]
+    assert {side * enlargement for side, enlargement, _ in read} == {192}
+    sheets = [sheet for _, _, found in read for sheet in found]
     assert len({sheet.file for sheet in sheets}) == len(sheets)
     assert all(len(sheet.crops) == 6 for sheet in sheets)

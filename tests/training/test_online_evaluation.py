@@ -7,11 +7,13 @@ import pytest
 
 pytest.importorskip("torch")
 
+import cv2
+
 from stillray.errors import InputError
 from stillray.io.exr.read_write import write_channels, write_exr
 from stillray.profiling import plot
 from stillray_training.online import curves, evaluate, still_frames, to_and_fro
-from tests.conftest import make_frame
+from tests.conftest import clean_color, make_frame
 
 
 def test_cameras_go_to_and_fro_one_step_at_a_time_and_end_with_the_last():
@@ -113,3 +115,52 @@ def test_renders_of_two_seeds_have_references_by_number(tmp_path):
         np.testing.assert_allclose(one.frame.color, frames[one.number].color, rtol=1e-3)
     with pytest.raises(InputError, match="references must have numbers of frames"):
         list(evaluate.of_renders(*patterns, last=1))
+
+
+def halves(count, height=30, width=40):
+    """Frames of two halves with references, as a shot has them."""
+    for number in range(count):
+        frame = make_frame(height, width, number)
+        other = make_frame(height, width, 100 + number)
+        both = evaluate.dataclasses.replace(frame, color_b=other.color)
+        reference = clean_color(height, width) if number else None
+        yield evaluate.Shown(number, both, reference)
+
+
+def test_the_last_frame_that_is_measured_is_shown(tmp_path):
+    scores = evaluate.measure(halves(3), [], [], parts=False, pictures=tmp_path / "seen")
+    assert list(scores["online"]) == [1, 2]
+    shown = {path.stem: cv2.imread(str(path)) for path in (tmp_path / "seen").glob("*.png")}
+    assert sorted(shown) == ["noisy", "online", "reference"]
+    assert {image.shape for image in shown.values()} == {(30, 40, 3)}
+    noisy, online = (np.abs(shown[name] - 1.0 * shown["reference"]) for name in ("noisy", "online"))
+    assert online.mean() < 0.5 * noisy.mean()
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_neighbours_share_a_sample_that_stays_for_eight_frames(both):
+    before = list(halves(9, height=60, width=80))
+    after = list(evaluate.with_fireflies(before, 1000.0, both=both))
+    assert [one.number for one in after] == [one.number for one in before]
+    places = []
+    for plain, shown in zip(before, after, strict=True):
+        first, second = (
+            (getattr(shown.frame, name) != getattr(plain.frame, name)).all(-1)
+            for name in ("color", "color_b")
+        )
+        assert first.sum() == 9  # one block of 3x3 pixels of so small a frame
+        np.testing.assert_array_equal(second, first if both else np.zeros_like(first))
+        bright = shown.frame.color[first]
+        assert (bright == bright[0, 0]).all()
+        assert bright[0, 0] > 100 * np.median(plain.frame.color)
+        places.append(tuple(np.argwhere(first)[0]))
+    assert len(set(places[:8])) == 1
+    assert places[8] != places[0]
+
+
+def test_a_model_that_learns_runs_without_learning_too():
+    found = evaluate.measure(halves(3), ["online-warm"], [], parts=True)
+    assert {"online-warm", "online-warm, nothing learned", "nothing learned"} <= set(found)
+    # nothing is learned before the second frame's picture but from the first
+    same = [found[name][1]["psnr"] for name in ("online-warm", "online-warm, nothing learned")]
+    assert same[0] != same[1]

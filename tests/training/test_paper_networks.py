@@ -10,13 +10,21 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from stillray.families import cross_bilateral, cross_regression  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
+from stillray.model_spec.network_outputs import network_outputs  # noqa: E402
 from stillray.model_spec.network_weights import network_weights  # noqa: E402
 from stillray_training.ablation import variants  # noqa: E402
 from stillray_training.families import FAMILIES  # noqa: E402
+from stillray_training.networks.filter_parameters import filter_parameters, split  # noqa: E402
 from stillray_training.networks.fuse import fuse  # noqa: E402
-from stillray_training.networks.multi_branch import multi_branch_net  # noqa: E402
+from stillray_training.networks.multi_branch import (  # noqa: E402
+    MultiBranchBlock,
+    Residual,
+    multi_branch_net,
+)
 from stillray_training.networks.repvgg import RepVGGBlock  # noqa: E402
+from stillray_training.online import step  # noqa: E402
 
 FEATURES = 12  # the papers have ten: docs/differences.md
 STUDY = {variant.name: variant for variant in variants.study()}
@@ -62,6 +70,23 @@ def test_wskp_6_is_six_blocks_of_three_convolutions_and_an_identity():
     assert convolutions(fuse(made)) == [(b, a, 5) for a, b in pairwise(widths)]
     assert weights(made) == sum(of_convolution(a, b, 5, 3, 1) for a, b in pairwise(widths))
     assert weights(fuse(made)) == sum(of_convolution(a, b, 5) for a, b in pairwise(widths))
+
+
+@pytest.mark.parametrize("name", ["wskp-6", "wskp-3", "wskp-3s"])
+def test_six_kernels_of_3x3_to_13x13_are_fused(name):
+    # section 5.3: the first 3, then 2 more each; a map and an averaging weight for every one
+    spec = load(name)
+    assert spec.decoder.kernel_sizes == tuple(range(3, 14, 2))
+    assert network_outputs(spec) == [(12 * spec.network.block**2, spec.network.block)]
+
+
+@pytest.mark.parametrize("name", ["wskp-6", "wskp-3"])
+def test_a_relu_follows_every_block_but_the_last(name):
+    # section 4.1: added, then a ReLU; importance is of any sign (eq. 3)
+    assert [block.activation for block in blocks(network(name))][:-1] == [True] * (
+        len(blocks(network(name))) - 1
+    )
+    assert not blocks(network(name))[-1].activation
 
 
 def test_predicting_kernels_takes_169_outputs_and_nearly_three_times_the_weights():
@@ -189,6 +214,114 @@ def test_partial_convolutions_have_the_paper_s_weights_and_full_ones_more():
     assert weights(fuse(multi_branch_net(spec))) == 644_537  # table 3: 0.644 million
     # table 5 has 1.05 million: docs/differences.md
     assert weights(fuse(multi_branch_net(full))) == 1_958_489
+
+
+@pytest.mark.parametrize("name", ["munet-x1", "munet-x2"])
+def test_munet_has_two_branches_in_three_levels_of_encoder_and_decoder(name):
+    # section 3.3: 2x2 convolutions 2 apart into every level, the first one too; blocks of half of
+    # the channels but in the first of the encoder and the last of the decoder; 1x1 where widths
+    # differ; planes by 1x1 of what both branches say, at three scales and the picture's
+    spec = load(name)
+    made = multi_branch_net(spec)
+    wide, narrow = spec.network.radiance_widths, spec.network.guide_widths
+    assert (len(wide), len(narrow)) == (3, 3)
+    assert all(guide < light for guide, light in zip(narrow, wide, strict=True))
+    for entries, inputs, widths in (
+        (made.enter, len(spec.network.radiance), wide),
+        (made.enter_guides, len(spec.network.guides), narrow),
+    ):
+        assert convolutions(entries) == [(b, a, 2) for a, b in pairwise((inputs, *widths))]
+        assert {one.stride for one in entries} == {(2, 2)}
+    for level in (*made.encode, *made.decode):
+        assert isinstance(level, MultiBranchBlock)
+        assert convolutions(level.merge)[0][2] == 1
+    for side in (made.encode, made.decode):
+        shares = [block.residual.convolved / width for block, width in zip(side, wide, strict=True)]
+        assert shares == [1, 0.5, 0.5]
+        guided = [block.guide.convolved / width for block, width in zip(side, narrow, strict=True)]
+        assert guided == [1, 0.5, 0.5]
+    # the radiance branch has more convolutions, and wider ones
+    assert [len(blocks(part)) for part in (made.encode[0].residual, made.encode[0].guide)] == [2, 1]
+    assert isinstance(made.encode[0].residual, Residual)
+    both = [a + b for a, b in zip(wide, narrow, strict=True)]
+    planes = [count for count, _ in network_outputs(spec)]
+    assert convolutions(made.heads) == [
+        (count, width, 1) for count, width in zip(planes, (both[0], *both), strict=True)
+    ]
+
+
+@pytest.mark.parametrize("name", ["munet-x1", "munet-x2"])
+def test_munet_s_branches_read_what_the_paper_s_do(name):
+    # section 3.2: color and its past; diffuse and specular albedo, normal, roughness and theirs;
+    # counts of accumulated samples as sines
+    network = load(name).network
+    light, guides = network.radiance, network.guides
+
+    def of(planes):
+        return {plane.split(".")[0] for plane in planes}
+
+    assert {"color", "past", "output"} <= of(light)
+    assert {"albedo", "specular", "normal", "roughness", "past_albedo", "past_specular"} <= of(
+        guides
+    )
+    assert sum(plane.startswith("past.count") for plane in light) == 4
+    assert not {"normal", "albedo", "specular", "roughness"} & of(light)
+    assert "color" not in of(guides)
+
+
+def test_the_guides_multiply_what_the_radiance_branch_adds():
+    # section 3.3: merged to the residual features by an element-wise multiplication
+    spec = load("munet-x2")
+    torch.manual_seed(0)
+    block = MultiBranchBlock(8, 4, spec.network, partial=False)
+    light, guides = torch.randn(1, 8, 6, 6), torch.randn(1, 4, 6, 6)
+    got, kept = block(light, guides)
+    torch.testing.assert_close(got, (light + block.residual(light) * block.merge(kept)).relu())
+
+
+def test_the_network_that_learns_online_is_a_u_net_of_two_poolings():
+    # section 4.2 and 4.4: both pilots, textures, normals and the last output; a maximum of 2x2,
+    # twice, and back; six parameters a pixel
+    spec = load("online")
+    kinds = [plane.split(".")[0] for plane in spec.network.features]
+    assert [kinds.count(kind) for kind in dict.fromkeys(kinds)] == [3] * 5
+    assert list(dict.fromkeys(kinds)) == ["pilot_a", "pilot_b", "albedo", "normal", "previous"]
+    layout = network_weights(spec)
+    assert network_weights(load("online-warm")) == layout
+    count = sum(prod(shape) for _, shape in layout)
+    torch.manual_seed(0)
+    weights = split(torch.randn(count) / 20, layout)
+    poolings = []
+
+    class Counting(step.Differentiable):
+        def pool(self, planes):
+            poolings.append(tuple(planes.shape[2:]))
+            return super().pool(planes)
+
+    given = filter_parameters(weights, torch.randn(1, 15, 16, 24), Counting())
+    assert given.shape == (1, 6, 16, 24)
+    assert poolings == [(16, 24), (8, 12)]
+
+
+def test_what_learns_online_has_the_paper_s_windows_and_rate():
+    # sections 3, 4.2 and 4.4: windows of 17x17 for the regression and of 11x11 for the filter; one
+    # step of Adam a frame at a rate of 0.001
+    assert cross_regression.WINDOW == 17
+    assert cross_bilateral.WINDOW == 11
+    for name in ("online", "online-warm"):
+        spec = load(name)
+        assert spec.decoder.learning_rate == 1e-3
+        assert spec.training.steps == 1
+    assert step.BETAS == (0.9, 0.999)
+
+
+def test_the_pyramids_have_their_levels_and_weights():
+    # no paper has them: what the page of differences says of them
+    for name, levels, count in (("kpyr-5", 5, 830_206), ("kpyr-5s", 5, 272_398)):
+        spec = load(name)
+        made = network(name)
+        assert len(network_outputs(spec)) == levels
+        assert weights(fuse(made)) == count
 
 
 def test_the_network_that_learns_online_has_30_thousand_weights():

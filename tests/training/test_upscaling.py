@@ -7,6 +7,7 @@ import json
 import time
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -23,7 +24,7 @@ from stillray_training.networks.fuse import fuse  # noqa: E402
 from stillray_training.networks.multi_branch import MultiBranchBlock, multi_branch_net  # noqa: E402
 from stillray_training.networks.repvgg import by_branches  # noqa: E402
 from stillray_training.simulate.sequence import RECORD, write  # noqa: E402
-from stillray_training.upscaling import loop, price_list, unroll  # noqa: E402
+from stillray_training.upscaling import compare, loop, price_list, unroll  # noqa: E402
 from stillray_training.upscaling.clips import ClipSampler, load_clip  # noqa: E402
 from stillray_training.upscaling.price_list import Way, prices  # noqa: E402
 from stillray_training.upscaling.time_in_turn import times_in_turn  # noqa: E402
@@ -296,3 +297,15 @@ def test_renders_without_recorded_cameras_have_no_price(tmp_path):
     (folder / RECORD).write_text(json.dumps(record))
     with pytest.raises(InputError, match="must have recorded cameras"):
         price_list.read_record(folder)
+
+
+def test_the_last_pictures_are_shown_at_the_references_size(tmp_path, monkeypatch):
+    monkeypatch.setattr(compare, "_oidn", lambda frames: [frame.color for frame in frames[-2:]])
+    sequence = render(tmp_path / "plane-0-0")
+    found = compare.measure(sequence, "munet-x2", "kpyr-5s", pictures=tmp_path / "seen")
+    assert set(found) == {"munet-x2", "kpyr-5s + Lanczos", "oidn-high + Lanczos"}
+    names = {path.stem.removeprefix("plane-0-0-") for path in (tmp_path / "seen").iterdir()}
+    methods = {"munet-x2", "kpyr-5s-Lanczos", "oidn-high-Lanczos"}
+    assert names == {"noisy", *methods, "reference"}
+    shapes = {cv2.imread(str(path)).shape for path in (tmp_path / "seen").iterdir()}
+    assert shapes == {(20, 24, 3)}

@@ -104,16 +104,14 @@ def find_model(name: str | os.PathLike[str]) -> ModelInfo:
 def differences(model: ModelInfo) -> tuple[str, ...]:
     """How a model differs from the paper it follows, a sentence each.
 
-    Files that were exported before specifications said so have it from the packaged specification
-    of their name, if they are otherwise of the same one; else there are none.
+    The packaged specification of its name says so, if the file is of the same one otherwise: this
+    is prose, and may be put right after a file was exported. Else the file itself says it.
     """
-    if model.spec.differs:
-        return model.spec.differs
     try:
         packaged = load(model.name)
     except SpecError:
-        return ()
-    return packaged.differs if packaged == model.spec else ()
+        return model.spec.differs
+    return packaged.differs if packaged == model.spec else model.spec.differs
 
 
 def steps_of(family: str) -> dict[str, Path]:

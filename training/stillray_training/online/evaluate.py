@@ -5,8 +5,9 @@
 Frames of two halves (``stillray-simulate --second-color``) go through it, through its parts alone
 (Choi et al. 2024, figure 8), other models and peers, which are fed the mean of both halves, NFOR
 both: its table 1. Every metric of every frame with a reference is printed, too, and drawn by
-``--plot``: its figure 7. Frames have the cameras of `stillray_training.online.to_and_fro`; those
-whose camera has a reference are measured.
+``--plot``: its figure 7. ``--pictures`` shows the last of them: its figures 1, 2, 4, 6 and 8; with
+``--fireflies 1000`` neighbours share bright samples: its figure 9. Frames have the cameras of
+`stillray_training.online.to_and_fro`; those whose camera has a reference are measured.
 
 ``... evaluate 'a/noisy/s000.####.exr' 'a/clean/s000.####.exr' --color-b 'b/noisy/s000.####.exr'``
 does the same with anybody's renders of two seeds: a reference has the number of its frame.
@@ -30,6 +31,7 @@ import typer
 from stillray.arrays.strips import Strips
 from stillray.batch.file_layout import Layout
 from stillray.cli import program
+from stillray.compare.display import display_exposure, tone_map, write_png
 from stillray.compare.metrics import evaluate
 from stillray.errors import InputError
 from stillray.families.cross_bilateral import Estimates
@@ -47,6 +49,9 @@ from stillray_training.peers.registry import find_peer
 
 METRICS = ("relmse", "ssim", "psnr", "bias")
 _PILOTS, _NETWORK, _UNTAUGHT = "pilots alone", "network alone", "nothing learned"
+_REFERENCE = "reference"
+#: Frames that a shared sample stays for, pixels of its side, and pixels of a frame for each.
+_STAYS, _SIDE, _APART = 8, 3, 4_800
 
 Stream = Callable[[Frame], np.ndarray]
 Scores = dict[str, dict[int, dict[str, float]]]
@@ -104,6 +109,8 @@ def streams(
         halves = "color_b" in model.model.spec.inputs.required
         given = _as_it_is if halves else mean_of_halves
         yield name, lambda frame, made=model, given=given: made.denoise(given(frame))  # type: ignore[misc]
+        if halves and parts:
+            yield f"{name}, {_UNTAUGHT}", _without_learning(opened.enter_context(Denoiser(name)))
     for name in peers:
         peer = find_peer(name)
         made = peer.make()
@@ -113,12 +120,14 @@ def streams(
 
 def _parts(opened: ExitStack) -> Iterator[tuple[str, Stream]]:
     """Each of its parts without the others (figure 8)."""
-    pilots = opened.enter_context(_PilotsAlone("online"))
-    yield _PILOTS, lambda frame: without_learning(pilots, frame)
+    yield _PILOTS, _without_learning(opened.enter_context(_PilotsAlone("online")))
     alone = opened.enter_context(_NetworkAlone("online"))
     yield _NETWORK, alone.denoise
-    untaught = opened.enter_context(Denoiser("online"))
-    yield _UNTAUGHT, lambda frame: without_learning(untaught, frame)
+    yield _UNTAUGHT, _without_learning(opened.enter_context(Denoiser("online")))
+
+
+def _without_learning(denoiser: Denoiser) -> Stream:
+    return lambda frame: without_learning(denoiser, frame)
 
 
 def without_learning(denoiser: Denoiser, frame: Frame) -> np.ndarray:
@@ -202,8 +211,45 @@ def of_renders(frames: str, second: str, references: str, last: int | None) -> I
         before = file.path
 
 
+def with_fireflies(shot: Iterable[Shown], brightness: float, *, both: bool) -> Iterator[Shown]:
+    """Frames in which 3x3 pixels here and there share one bright sample for eight frames.
+
+    So do renders whose samples are reused by neighbours and by the frames that follow (Choi et al.
+    2024, figure 9). Places are the same in every call; motion does not move them.
+
+    Parameters
+    ----------
+    shot
+        Frames in order.
+    brightness
+        Radiance of a sample, in medians of the frame's light where there is any.
+    both
+        Whether both halves reuse it; otherwise the first alone has it, as independent halves would.
+    """
+    for index, shown in enumerate(shot):
+        frame = shown.frame
+        assert frame.color_b is not None
+        halves = [frame.color.copy(), frame.color_b.copy()]
+        light = (halves[0] + halves[1]).mean(-1) / 2
+        sample = brightness * float(np.median(light[light > 0])) if (light > 0).any() else 0.0
+        count = max(1, light.size // _APART)
+        # those of a run of frames are the same, whatever frames there are
+        rng = np.random.default_rng(index // _STAYS)
+        rows, columns = (rng.integers(0, max(1, side - _SIDE + 1), count) for side in light.shape)
+        for row, column in zip(rows, columns, strict=True):
+            for half in halves[: 2 if both else 1]:
+                half[row : row + _SIDE, column : column + _SIDE] = sample
+        changed = dataclasses.replace(frame, color=halves[0], color_b=halves[1])
+        yield dataclasses.replace(shown, frame=changed)
+
+
 def measure(
-    shot: Iterable[Shown], models: Sequence[str], peers: Sequence[str], *, parts: bool = True
+    shot: Iterable[Shown],
+    models: Sequence[str],
+    peers: Sequence[str],
+    *,
+    parts: bool = True,
+    pictures: Path | None = None,
 ) -> Scores:
     """Scores of every method, by the number of the frame.
 
@@ -214,9 +260,12 @@ def measure(
     models, peers
         Other models, and peers, by name.
     parts
-        Whether its parts run alone, too.
+        Whether its parts run alone, too, and models that learn without learning.
+    pictures
+        Folder for tone-mapped PNGs of the last frame with a reference.
     """
     scores: Scores = {}
+    seen: dict[str, np.ndarray] = {}
     with ExitStack() as opened:
         methods = dict(streams(models, peers, opened, parts=parts))
         for shown in shot:
@@ -225,7 +274,22 @@ def measure(
                 if shown.reference is not None:
                     found = evaluate([image], [shown.reference], names=METRICS)
                     scores.setdefault(name, {})[shown.number] = {m: found[m] for m in METRICS}
+                    seen[name] = image
+            if shown.reference is not None:
+                seen[_REFERENCE] = shown.reference
+    if pictures is not None and seen:
+        show(pictures, seen)
     return scores
+
+
+def show(folder: Path, images: Mapping[str, np.ndarray]) -> None:
+    """Write what methods made of a frame, by name, exposed as its reference."""
+    folder.mkdir(parents=True, exist_ok=True)
+    exposure = display_exposure(images[_REFERENCE])
+    for name, image in images.items():
+        write_png(
+            folder / f"{name.replace(', ', '-').replace(' ', '-')}.png", tone_map(image, exposure)
+        )
 
 
 def read_reference(path: Path, shape: tuple[int, int]) -> np.ndarray:
@@ -239,17 +303,17 @@ def read_reference(path: Path, shape: tuple[int, int]) -> np.ndarray:
 
 def table(scores: Scores) -> list[str]:
     """Means over the frames with references, a line a method."""
-    lines = [f"{'method':16s}" + "".join(f"{name:>10s}" for name in METRICS)]
+    lines = [f"{'method':30s}" + "".join(f"{name:>10s}" for name in METRICS)]
     for name, frames in scores.items():
         means = [mean(values[metric] for values in frames.values()) for metric in METRICS]
-        lines.append(f"{name:16s}" + "".join(f"{value:10.4f}" for value in means))
+        lines.append(f"{name:30s}" + "".join(f"{value:10.4f}" for value in means))
     return lines
 
 
 def curves(scores: Scores, metric: str) -> list[str]:
     """How a metric goes over the frames with references (figure 7), a line a method."""
     return [
-        f"{name:16s}" + "".join(f"{number:5d}:{v[metric]:8.4f}" for number, v in frames.items())
+        f"{name:30s}" + "".join(f"{number:5d}:{v[metric]:8.4f}" for number, v in frames.items())
         for name, frames in scores.items()
     ]
 
@@ -264,6 +328,14 @@ def main(
     last: Annotated[int | None, typer.Option(help="Run so many of the last frames.")] = None,
     report: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
     plot: Annotated[Path | None, typer.Option(help="PNG of errors over frames.")] = None,
+    pictures: Annotated[
+        Path | None, typer.Option(help="Folder for PNGs of the last frame that is measured.")
+    ] = None,
+    fireflies: Annotated[
+        float | None,
+        typer.Option(help="Let 3x3 pixels share samples this many times as bright as the frame."),
+    ] = None,
+    in_both: Annotated[bool, typer.Option(help="Both halves have these, not one alone.")] = False,
 ) -> None:
     """Measure the model that learns while it denoises."""
     if plot is not None:
@@ -273,8 +345,10 @@ def main(
         if color_b is None
         else of_renders(sequence, color_b, references, last)
     )
+    if fireflies is not None:
+        shot = with_fireflies(shot, fireflies, both=in_both)
     models, peers = model or ["kpyr-5", "nbg-2x3"], peer or ["svgf", "bmfr", "oidn-high"]
-    scores = measure(shot, models, peers, parts=parts)
+    scores = measure(shot, models, peers, parts=parts, pictures=pictures)
     for line in table(scores):
         print(line)
     for metric in METRICS:

@@ -19,6 +19,7 @@ from rich.table import Table
 
 from stillray.cli import program
 from stillray.compare import metrics
+from stillray.compare.display import display_exposure, tone_map, write_png
 from stillray.compare.metrics import METRICS
 from stillray.errors import InputError
 from stillray.frame import Frame
@@ -38,7 +39,11 @@ PICTURES = 2
 
 
 def measure(
-    sequence: Path, model: str, flagship: str, full: Path | None = None
+    sequence: Path,
+    model: str,
+    flagship: str,
+    full: Path | None = None,
+    pictures: Path | None = None,
 ) -> dict[str, dict[str, float]]:
     """Metrics by method of the last frame of a sequence.
 
@@ -53,6 +58,8 @@ def measure(
     full
         Folder of the same scenes traced at the references' size, by name: what the flagship and
         Open Image Denoise make of all pixels is measured, too.
+    pictures
+        Folder for tone-mapped PNGs of the last frame.
 
     Raises
     ------
@@ -75,6 +82,10 @@ def measure(
             raise InputError(f"full must hold {sequence.name}'s scene of {size}, got {full}")
         methods[TRACED.format(title)] = denoised(flagship, traced)[2]
         methods[TRACED.format(OIDN)] = _oidn(traced)
+    if pictures is not None:
+        noisy = np.repeat(np.repeat(frames[-1].color, scale, 0), scale, 1)
+        last = {method: images[-1] for method, images in methods.items()}
+        _show(pictures, sequence.name, {"noisy": noisy, **last, "reference": references[-1]})
     return {
         method: metrics.evaluate(images, references, names=SEEN)
         for method, images in methods.items()
@@ -86,6 +97,15 @@ def denoised(model: str, frames: list[Frame]) -> tuple[str, int, list[np.ndarray
     with Denoiser(model, threads=1) as denoiser:
         images = [denoiser.denoise(frame) for frame in frames]
         return denoiser.model.name, denoiser.scale, images[-PICTURES:]
+
+
+def _show(folder: Path, scene: str, images: Mapping[str, np.ndarray]) -> None:
+    """Write the last pictures, exposed as the reference, which comes last."""
+    folder.mkdir(parents=True, exist_ok=True)
+    exposure = display_exposure(list(images.values())[-1])
+    for method, image in images.items():
+        name = f"{scene}-{method}".replace(" + ", "-").replace(", ", "-").replace(" ", "-")
+        write_png(folder / f"{name}.png", tone_map(image, exposure))
 
 
 def _oidn(frames: list[Frame]) -> list[np.ndarray]:
@@ -115,12 +135,15 @@ def main(
     ] = None,
     only: Annotated[str, typer.Option(help="Pattern of the sequences' names.")] = "*",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    pictures: Annotated[
+        Path | None, typer.Option(help="Folder for PNGs of the last frames.")
+    ] = None,
 ) -> None:
     """Measure a model that enlarges beside denoising and enlarging one after the other."""
     sequences = [path for path in find_sequences(data) if path.match(only)]
     if not sequences:
         raise InputError(f"data must hold finished sequences, got {data}")
-    found = mean([measure(sequence, model, flagship, full) for sequence in sequences])
+    found = mean([measure(sequence, model, flagship, full, pictures) for sequence in sequences])
     if as_json:
         print(json.dumps(found, indent=1))
         return
