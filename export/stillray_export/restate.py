@@ -1,4 +1,4 @@
-"""``python -m stillray_export.restate NAME``: the rules and prose of today, the weights as they are.
+"""``python -m stillray_export.restate NAME``: rules and prose of today, weights as they are.
 
 What a specification says of stages around the network, of its past and of the papers, may change
 without a step of training; what is in a model's files then says what was.
