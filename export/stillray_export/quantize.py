@@ -55,8 +55,12 @@ def quantized(model: Path, features: Sequence[np.ndarray]) -> onnx.ModelProto:
     model
         The .onnx file of a network of floats.
     features : (1, features, h, w) float32 each
-        What it is to be given: scales fit to what it makes of these.
+        What it is to be given: scales fit to what it makes of these, of their upper left in the
+        size of the smallest.
     """
+    # ONNX Runtime's calibration stacks what a layer gives
+    height, width = np.min([planes.shape[2:] for planes in features], axis=0)
+    features = [np.ascontiguousarray(planes[..., :height, :width]) for planes in features]
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "int8.onnx"
         quantize_static(

@@ -239,7 +239,7 @@ COMPARISONS = (
     ),
     Comparison(
         title="Many samples, one frame",
-        source="Table 4 and the supplement's tables 7 to 10. Trained on single frames of 2 samples "
+        source="Table 4 and the supplement's tables 7 to 10. Trained on single frames of 1 sample "
         "a pixel to as many as the data hold, and scored on stills of "
         f"{STILL_SAMPLES}; neither has a past",
         variants=(at_many(MULTI_RESOLUTION), at_many("MR-KP"), at_many("KP")),
