@@ -124,7 +124,7 @@ def render(folder, *options):
 @in_blender
 @pytest.mark.parametrize("seed", [0, 1])
 def test_blender_renders_a_scene_of_a_seed(tmp_path, seed):
-    options = f"--count 1 --first-seed {seed} --size 24 --reference 4".split()
+    options = f"--count 1 --first-seed {seed} --size 24 --reference 16".split()
     assert render(tmp_path, *options).returncode == 0
     folder = tmp_path / f"{seed:05d}"
     take(folder, tmp_path / "data" / "one")
