@@ -40,7 +40,8 @@ def restate(path: Path, validation: Path | None = None) -> list[Path]:
     Raises
     ------
     InputError
-        There is no such model, or today's specification is of another network.
+        There is no such model, or there is nothing to tell: it says all of it already, or today's
+        specification is of another network.
     """
     info = find_model(path)
     spec = as_specified_now(info.spec)

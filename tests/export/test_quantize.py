@@ -38,6 +38,14 @@ def test_integers_compute_what_floats_do_and_know_their_file(tmp_path, rng):
     assert 0 < np.abs(of_integers - of_floats).mean() < 3 * step
 
 
+def test_frames_of_several_sizes_give_the_network_that_their_common_part_gives(rng):
+    model = find_model("wskp-3s")
+    planes = rng.random((1, len(model.spec.network.features), 34, 50), np.float32)
+    part = planes[..., :32, :48]
+    mixed, alike = (quantized(model.path, given) for given in ([part, planes], [part, part]))
+    assert mixed.SerializeToString() == alike.SerializeToString()
+
+
 def test_scales_are_of_first_second_and_last_frames():
     seen = list(features_of(find_model("kpyr-5s"), ROOM))
     assert [array.shape[:2] for array in seen] == [(1, 10)] * 3

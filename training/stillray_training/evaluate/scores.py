@@ -52,11 +52,12 @@ def evaluate_cases(
             frames, references = case.read()
             rows = results.setdefault(case.title, {})
             if pictures:
-                _picture(pictures, case, "reference", references[-1], references[-1])
+                title = f"{case.title}-{case.name}"
+                write_shown(pictures, f"{title}-reference", references[-1], references[-1])
             for method, images in methods.run(case, frames, len(references)):
                 rows.setdefault(method, {}).update(_measure(case, images, references, names))
                 if pictures:
-                    _picture(pictures, case, method, images[-1], references[-1])
+                    write_shown(pictures, f"{title}-{method}", images[-1], references[-1])
     return results
 
 
@@ -157,9 +158,18 @@ def worse_than_input(results: Results, methods: Collection[str]) -> list[Worse]:
     return found
 
 
-def _picture(
-    folder: Path, case: Case, method: str, image: np.ndarray, reference: np.ndarray
-) -> None:
+def write_shown(folder: Path, name: str, image: np.ndarray, reference: np.ndarray) -> None:
+    """Write an image as it is displayed, exposed as its reference.
+
+    Parameters
+    ----------
+    folder
+        Where it goes, made if missing.
+    name
+        Of the file, without ``.png``; spaces and what they surround become dashes.
+    image, reference : (h, w, 3) float32
+        Radiance.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    name = f"{case.title}-{case.name}-{method}".replace(", ", "-").replace(" ", "-")
+    name = name.replace(" + ", "-").replace(", ", "-").replace(" ", "-")
     write_png(folder / f"{name}.png", tone_map(image, display_exposure(reference)))

@@ -31,7 +31,6 @@ import typer
 from stillray.arrays.strips import Strips
 from stillray.batch.file_layout import Layout
 from stillray.cli import program
-from stillray.compare.display import display_exposure, tone_map, write_png
 from stillray.compare.metrics import evaluate
 from stillray.errors import InputError
 from stillray.families.cross_bilateral import Estimates
@@ -43,6 +42,7 @@ from stillray.io.file_sequence import expand, map_companions
 from stillray.pipeline.denoiser import Denoiser
 from stillray.profiling.plot import require_drawable
 from stillray_training.blocks import frame_paths
+from stillray_training.evaluate.scores import write_shown
 from stillray_training.online.curves import draw_curves
 from stillray_training.online.to_and_fro import to_and_fro
 from stillray_training.peers.registry import find_peer
@@ -278,18 +278,9 @@ def measure(
             if shown.reference is not None:
                 seen[_REFERENCE] = shown.reference
     if pictures is not None and seen:
-        show(pictures, seen)
+        for name, image in seen.items():
+            write_shown(pictures, name, image, seen[_REFERENCE])
     return scores
-
-
-def show(folder: Path, images: Mapping[str, np.ndarray]) -> None:
-    """Write what methods made of a frame, by name, exposed as its reference."""
-    folder.mkdir(parents=True, exist_ok=True)
-    exposure = display_exposure(images[_REFERENCE])
-    for name, image in images.items():
-        write_png(
-            folder / f"{name.replace(', ', '-').replace(' ', '-')}.png", tone_map(image, exposure)
-        )
 
 
 def read_reference(path: Path, shape: tuple[int, int]) -> np.ndarray:

@@ -19,13 +19,13 @@ from rich.table import Table
 
 from stillray.cli import program
 from stillray.compare import metrics
-from stillray.compare.display import display_exposure, tone_map, write_png
 from stillray.compare.metrics import METRICS
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.blocks import frames_of
+from stillray_training.evaluate.scores import write_shown
 from stillray_training.examples import find_sequences
 from stillray_training.peers.oidn import open_image_denoise
 from stillray_training.simulate.sequence import RECORD
@@ -85,7 +85,8 @@ def measure(
     if pictures is not None:
         noisy = np.repeat(np.repeat(frames[-1].color, scale, 0), scale, 1)
         last = {method: images[-1] for method, images in methods.items()}
-        _show(pictures, sequence.name, {"noisy": noisy, **last, "reference": references[-1]})
+        for name, image in {"noisy": noisy, **last, "reference": references[-1]}.items():
+            write_shown(pictures, f"{sequence.name}-{name}", image, references[-1])
     return {
         method: metrics.evaluate(images, references, names=SEEN)
         for method, images in methods.items()
@@ -97,15 +98,6 @@ def denoised(model: str, frames: list[Frame]) -> tuple[str, int, list[np.ndarray
     with Denoiser(model, threads=1) as denoiser:
         images = [denoiser.denoise(frame) for frame in frames]
         return denoiser.model.name, denoiser.scale, images[-PICTURES:]
-
-
-def _show(folder: Path, scene: str, images: Mapping[str, np.ndarray]) -> None:
-    """Write the last pictures, exposed as the reference, which comes last."""
-    folder.mkdir(parents=True, exist_ok=True)
-    exposure = display_exposure(list(images.values())[-1])
-    for method, image in images.items():
-        name = f"{scene}-{method}".replace(" + ", "-").replace(", ", "-").replace(" ", "-")
-        write_png(folder / f"{name}.png", tone_map(image, exposure))
 
 
 def _oidn(frames: list[Frame]) -> list[np.ndarray]:
