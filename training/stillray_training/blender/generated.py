@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -15,7 +14,8 @@ from typing import Any
 import bpy
 from mathutils import Matrix, Vector
 
-from stillray_training.blender import joinery, licensed
+from stillray_training.blender import joinery
+from stillray_training.blender.daylight import bright_wall, pierced, sky, sun
 from stillray_training.blender.materials import color, material
 from stillray_training.blender.parts import (
     Material,
@@ -31,29 +31,9 @@ from stillray_training.blender.parts import (
     rod,
     torus,
 )
+from stillray_training.blender.place import Place
 
 _TRIES = 60  # at a place for the camera
-
-
-@dataclass
-class Place:
-    """What a generator has built."""
-
-    drawn: Random
-    assets: Path | None = None
-    things: list[Any] = field(default_factory=list)  # that may move
-    lamps: list[Any] = field(default_factory=list)
-    used: set[str] = field(default_factory=set)  # assets
-
-    def asset(self, at: Point, size: float | None = None, kinds: str = "") -> bool:
-        """Stand an asset somewhere, if there are any; of those whose names `kinds` lists."""
-        if self.assets is None:
-            return False
-        known = [n for n in licensed.names(self.assets) if not kinds or n in kinds.split()]
-        name = self.drawn.choice(known)
-        self.things.append(licensed.place(self.assets, name, at, self.drawn, size))
-        self.used.add(name)
-        return True
 
 
 def build(kind: str, seed: int, assets: Path | None, frames: int) -> list[str]:
@@ -111,6 +91,54 @@ def _panelled(place: Place) -> None:
           (0.0, depth * 0.5, 0.2), (width, depth, height), (18, 70))  # fmt: skip
 
 
+def _backlit(place: Place) -> None:
+    """A room that is looked at against its windows, or at what a mirror shows of them."""
+    drawn = place.drawn
+    width, depth, height = drawn.uniform(2.6, 5), drawn.uniform(2.6, 5.5), drawn.uniform(2.3, 3.4)
+    walls = joinery.paint(drawn) if drawn.random() < 0.5 else material(drawn, grain=1.5)
+    ceiling = Material("ceiling", (0.8, 0.8, 0.78), Roughness=0.9)
+    box((-0.1, -0.1, -0.1), (width + 0.1, depth + 0.1, 0), material(drawn, grain=1.5))
+    box((-0.1, -0.1, height), (width + 0.1, depth + 0.1, height + 0.1), ceiling)
+    box((-0.1, -0.1, 0), (width + 0.1, 0, height), walls)
+    box((-0.1, 0, 0), (0, depth, height), walls)
+    bright_wall(place, width, (depth, height), walls, side=False)
+    if drawn.random() < 0.4:
+        bright_wall(place, depth, (width, height), walls, side=True)
+    else:
+        box((width, 0, 0), (width + 0.1, depth, height), walls)
+    sky(place)
+    mirrored = drawn.random() < 0.35
+    if mirrored:
+        _mirror(drawn, depth, height)
+    for _ in range(drawn.randint(2, 7)):
+        at = (drawn.uniform(0.4, width - 0.4), drawn.uniform(depth * 0.4, depth - 0.3), 0.0)
+        drawn.choice((_chair, _chair, _table, _plant, _standing_lamp, _furniture, _tub, _block))(
+            place, at
+        )
+    if drawn.random() < 0.3:
+        _room_lamps(place, width, depth, height, dark=False)
+    near, far = (0.3, 0.2, 0.4), (width - 0.3, depth * 0.5, min(1.9, height - 0.3))
+    low, high = (0.1, depth, 0.3), (width - 0.1, depth + 0.1, height * 0.85)
+    if mirrored and drawn.random() < 0.6:  # from beside the windows
+        near, far = (width * 0.4, depth * 0.3, 0.6), (width - 0.3, depth * 0.8, 1.8)
+        low, high = (0.0, depth * 0.3, 0.8), (0.1, depth * 0.9, height * 0.8)
+    _look(place, near, far, low, high, (18, 60))
+
+
+def _mirror(drawn: Random, depth: float, height: float) -> None:
+    """On the wall at x = 0, with or without a frame."""
+    broad, low = drawn.uniform(0.4, depth * 0.45), drawn.uniform(0.3, 1.1)
+    middle, top = drawn.uniform(broad, depth - broad), height - drawn.uniform(0.2, 0.7)
+    glass = Material("mirror", (0.9, 0.9, 0.9), Metallic=1.0, Roughness=0.0)
+    box((0.0, middle - broad, low), (0.02, middle + broad, top), glass)
+    if drawn.random() < 0.7:
+        frame, rim = material(drawn, grain=0.1), drawn.uniform(0.01, 0.06)
+        for a, b in ((low - rim, low), (top, top + rim)):
+            box((0.0, middle - broad - rim, a), (0.035, middle + broad + rim, b), frame)
+        for y in (middle - broad - rim, middle + broad):
+            box((0.0, y, low), (0.034, y + rim, top), frame)
+
+
 def _tub(place: Place, at: Point) -> None:
     """A white bowl with a thick rim, and folds in it."""
     drawn, (x, y, z) = place.drawn, at
@@ -136,94 +164,15 @@ def _shell(place: Place, size: Point, walls: Material, ceiling: Material) -> str
     other = walls if drawn.random() < 0.6 else material(drawn, grain=1.5)
     sunny = drawn.random() < 0.7
     if sunny and drawn.random() < 0.5:
-        _pierced(place, width, (depth, height), other, side=False)
+        pierced(place, width, (depth, height), other, side=False)
         box((width, 0, 0), (width + 0.1, depth, height), walls)
         return "back"
     box((-0.1, depth, 0), (width + 0.1, depth + 0.1, height), other)
     if sunny:
-        _pierced(place, depth, (width, height), walls, side=True)
+        pierced(place, depth, (width, height), walls, side=True)
         return "right"
     box((width, 0, 0), (width + 0.1, depth, height), walls)
     return ""
-
-
-def _pierced(
-    place: Place, length: float, across: tuple[float, float], wall: Material, *, side: bool
-) -> None:
-    """A wall with windows along x at y = ``across[0]``, or along y at x if ``side``; and sun."""
-    drawn, (offset, height) = place.drawn, across
-    low, high = drawn.uniform(0.3, 1.0), height - drawn.uniform(0.2, 0.6)
-
-    def piece(start: float, end: float, bottom: float, top: float, stuff: Material,
-              thick: tuple[float, float] = (0.0, 0.12)) -> None:  # fmt: skip
-        near, far = offset + thick[0], offset + thick[1]
-        if side:
-            box((near, start, bottom), (far, end, top), stuff)
-        else:
-            box((start, near, bottom), (end, far, top), stuff)
-
-    piece(0, length, 0, low, wall)
-    piece(0, length, high, height, wall)
-    frame = Material("frame", color(drawn), Roughness=drawn.uniform(0.2, 0.7))
-    count = drawn.randint(1, 3)
-    broad = length / count
-    powers = drawn.uniform(8, 60)
-    for index in range(count):
-        margin = broad * drawn.uniform(0.1, 0.3)
-        start, end = index * broad + margin, (index + 1) * broad - margin
-        piece(index * broad, start, low, high, wall)
-        piece(end, (index + 1) * broad, low, high, wall)
-        bar = drawn.uniform(0.015, 0.05)
-        bars = drawn.randint(1, 5)
-        for part in range(bars + 1):
-            z = low + (high - low - bar) * part / bars
-            piece(start, end, z, z + bar, frame, (0.03, 0.07))
-        uprights = drawn.randint(1, 4)
-        for part in range(uprights + 1):
-            x = start + (end - start - bar) * part / uprights
-            piece(x, x + bar, low, high, frame, (0.03, 0.07))
-        if drawn.random() < 0.3:
-            slats = int((high - low) / drawn.uniform(0.05, 0.12))
-            for part in range(slats):
-                z = low + (high - low) * part / slats
-                piece(start, end, z, z + 0.012, frame, (-0.05, -0.01))
-        if drawn.random() < 0.7:
-            middle, z = (start + end) / 2, (low + high) / 2
-            at = (offset + 0.2, middle, z) if side else (middle, offset + 0.2, z)
-            to = (0, middle, z) if side else (middle, 0, z)
-            size = (end - start, high - low)
-            place.lamps.append(light(
-                "AREA", at, to, powers * size[0] * size[1], shape="RECTANGLE", size=size[0],
-                size_y=size[1], color=(0.78, 0.88, 1.0),
-            ))  # fmt: skip
-    _sky(place)
-    far = (offset + 6, length * drawn.uniform(0.1, 0.9), 5.0)
-    sun = far if side else (far[1], far[0], far[2])
-    _sun(place, sun, (length / 2, length / 2, 0.0))
-
-
-def _sky(place: Place) -> None:
-    drawn = place.drawn
-    if drawn.random() < 0.4:
-        background(color(drawn), drawn.uniform(0.3, 2.5))
-        return
-    world = bpy.data.worlds.new("world")
-    world.use_nodes = True
-    nodes, links = world.node_tree.nodes, world.node_tree.links
-    texture = nodes.new("ShaderNodeTexSky")
-    texture.sun_disc, texture.sun_elevation = False, math.radians(drawn.uniform(8, 70))
-    nodes["Background"].inputs["Strength"].default_value = drawn.uniform(0.05, 0.4)
-    links.new(texture.outputs[0], nodes["Background"].inputs["Color"])
-    bpy.context.scene.world = world
-
-
-def _sun(place: Place, at: Point, to: Point) -> None:
-    drawn = place.drawn
-    if drawn.random() < 0.7:
-        angle = math.radians(drawn.choice((0.5, 0.5, drawn.uniform(1, 8))))
-        place.lamps.append(
-            light("SUN", at, to, drawn.uniform(1, 9), angle=angle, color=(1, 0.93, 0.82))
-        )
 
 
 def _trim(place: Place, width: float, depth: float) -> None:
@@ -466,8 +415,8 @@ def _tabletop(place: Place) -> None:
         size, power = drawn.choice((0.05, 0.4, 1.0, 2.5)), drawn.uniform(30, 300)
         place.lamps.append(light("AREA", at, (0, 0.2, 0.2), power, size=size, color=tint))
     if drawn.random() < 0.25:
-        _sky(place)
-        _sun(place, (drawn.uniform(-3, 3), -3, 4), (0, 0, 0))
+        sky(place)
+        sun(place, (drawn.uniform(-3, 3), -3, 4), (0, 0, 0))
     else:
         background(color(drawn), drawn.uniform(0.0, 0.4))
     _look(place, (-1.5, -3.8, 0.3), (1.5, -2.0, 2.5), (-0.5, -0.2, 0.1), (0.5, 0.5, 0.5), (25, 80))
@@ -492,8 +441,8 @@ def _outdoors(place: Place) -> None:
     for _ in range(drawn.randint(1, 6)):
         at = (drawn.uniform(-2.5, 2.5), drawn.uniform(-0.5, 4), 0.0)
         _object(place, at, drawn.uniform(0.3, 1.2))
-    _sky(place)
-    _sun(place, (drawn.uniform(-8, 8), drawn.uniform(-8, 6), drawn.uniform(2, 9)), (0, 2, 0))
+    sky(place)
+    sun(place, (drawn.uniform(-8, 8), drawn.uniform(-8, 6), drawn.uniform(2, 9)), (0, 2, 0))
     _look(place, (-3, -6, 0.5), (3, -2.5, 3.0), (-1, 2, 0.2), (1, 6, 1.5), (20, 60))
 
 
@@ -551,6 +500,7 @@ KINDS: dict[str, Callable[[Place], None]] = {
     "cycles_table": _tabletop,
     "cycles_outdoors": _outdoors,
     "cycles_panelled": _panelled,
+    "cycles_backlit": _backlit,
 }
 
 

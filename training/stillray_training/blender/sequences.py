@@ -25,6 +25,7 @@ BLOCKS = (1, 2, 4, 8, 16)  # samples a pixel of the blocks beside the last frame
 _BLOCK_SEED, _REFERENCE_SEED = 100, 1000  # no two files share their noise
 _ROOMS = 0.5  # share of the scenes that are rooms
 _PANELLED = 0.4  # and of those, of rooms full of painted joinery
+_BACKLIT = 0.0  # and of the others, of rooms that are looked at against their windows
 _BOX = 0.5  # share with a box filter, as other renderers have
 _TABLES = 0.6  # and of the others that are things on a table
 _NOISE = 0.01  # of a reference's pixel, at which it takes no more samples: Cycles' own
@@ -40,9 +41,9 @@ class Options:
         Width and height, pixels.
     reference
         Most samples a pixel of references.
-    rooms, panelled, box
-        Shares, [0, 1]: of scenes that are rooms, of rooms full of painted joinery, and of scenes
-        rendered with a box filter.
+    rooms, panelled, backlit, box
+        Shares, [0, 1]: of scenes that are rooms, of rooms full of painted joinery, of other rooms
+        that are looked at against their windows, and of scenes rendered with a box filter.
     assets
         Folder of licensed objects; None for none.
 
@@ -56,6 +57,7 @@ class Options:
     reference: int = 512
     rooms: float = _ROOMS
     panelled: float = _PANELLED
+    backlit: float = _BACKLIT
     box: float = _BOX
     assets: Path | None = None
 
@@ -63,7 +65,7 @@ class Options:
         for name in ("size", "reference"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
-        for name in ("rooms", "panelled", "box"):
+        for name in ("rooms", "panelled", "backlit", "box"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be 0 to 1, got {getattr(self, name)}")
         if self.assets is not None and not self.assets.is_dir():
@@ -71,12 +73,13 @@ class Options:
 
     def kind(self, drawn: random.Random) -> str:
         """One of `KINDS`."""
-        others = 1 - self.rooms
+        others, plain = 1 - self.rooms, self.rooms * (1 - self.panelled)
         odds = {
-            "cycles_room": self.rooms * (1 - self.panelled),
+            "cycles_room": plain * (1 - self.backlit),
             "cycles_table": others * _TABLES,
             "cycles_outdoors": others * (1 - _TABLES),
             "cycles_panelled": self.rooms * self.panelled,
+            "cycles_backlit": plain * self.backlit,
         }
         return drawn.choices(list(KINDS), [odds[name] for name in KINDS])[0]
 
@@ -135,6 +138,12 @@ def main() -> None:
     parser.add_argument("--rooms", type=float, default=usual.rooms, help="share of scenes, [0, 1]")
     parser.add_argument(
         "--panelled", type=float, default=usual.panelled, help="of rooms, with joinery, [0, 1]"
+    )
+    parser.add_argument(
+        "--backlit",
+        type=float,
+        default=usual.backlit,
+        help="of others, against windows, [0, 1]",
     )
     parser.add_argument("--box", type=float, default=usual.box, help="with a box filter, [0, 1]")
     parser.add_argument("--assets", type=Path, help="folder of licensed objects")
