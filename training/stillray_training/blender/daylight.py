@@ -63,8 +63,8 @@ def pierced(
             ))  # fmt: skip
     sky(place)
     far = (offset + 6, length * drawn.uniform(0.1, 0.9), 5.0)
-    sun = far if side else (far[1], far[0], far[2])
-    sun(place, sun, (length / 2, length / 2, 0.0))
+    high_up = far if side else (far[1], far[0], far[2])
+    sun(place, high_up, (length / 2, length / 2, 0.0))
 
 
 def sky(place: Place) -> None:
