@@ -65,8 +65,10 @@ def leads(drawn: Random, opening: Rectangle, plane: Plane, stuff: Material) -> N
             first = max(0.0, (foot - right) * slope if turn < 0 else (left - foot) * slope)
             last = min(high - low, (foot - left if turn < 0 else right - foot) * slope)
             if last - first > 0.02:
-                ends = [(foot + turn * v / slope, low + v) for v in (first, last)]
-                rod(*(plane(*end, -_BEFORE) for end in ends), slim, stuff)
+                start, end = (
+                    plane(foot + turn * v / slope, low + v, -_BEFORE) for v in (first, last)
+                )
+                rod(start, end, slim, stuff)
 
 
 def ironwork(drawn: Random, opening: Rectangle, plane: Plane, stuff: Material) -> None:
