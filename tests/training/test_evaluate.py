@@ -107,6 +107,15 @@ def test_peers_and_models_are_scored_on_every_scene(folder, capsys):
     assert "| SVGF | " in table
 
 
+def test_references_are_filtered_to_see_what_their_own_noise_leaves(folder):
+    pytest.importorskip("pyoidn")
+    found = run(folder, peer=["oidn-high"])
+    floor, shown = (
+        found[name]["two"]["psnr"] for name in ("OIDN high, the references", "OIDN high")
+    )
+    assert floor > shown + 3
+
+
 def test_stills_are_measured_at_every_count_fewest_samples_first(stills):
     results = run_all(stills, only="stills")
     assert list(results) == ["stills, 4 samples a pixel", "stills, 16 samples a pixel"]

@@ -84,6 +84,20 @@ class Methods:
             if not peer.remembers:
                 yield f"{peer.label}, accumulated", _fed(peer, frames[-count:], accumulated)
 
+    def of_references(
+        self, case: Case, frames: Sequence[Frame], references: Sequence[np.ndarray]
+    ) -> Iterator[tuple[str, list[np.ndarray]]]:
+        """References of a sequence through Open Image Denoise high, if it is among the peers.
+
+        What differs from them is mostly their own noise, below which no figure can come.
+        """
+        for peer in self.peers if case.kind == "sequences" else ():
+            if peer.name == "oidn-high":
+                yield (
+                    f"{peer.label}, the references",
+                    _fed(peer, frames[-len(references) :], references),
+                )
+
     def _denoise(
         self, label: str, frames: Sequence[Frame], count: int, *, temporal: bool
     ) -> list[np.ndarray]:

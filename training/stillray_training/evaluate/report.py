@@ -29,9 +29,10 @@ models was watched on them, so read these figures as validation, not as a test. 
 (Schied et al. 2017) and BMFR (Koskela et al. 2019) are our own implementations, with published
 parameters; both end with temporal antialiasing (TAA), so SVGF is there without it as well. OIDN is
 Open Image Denoise with albedo and normal, fed the raw frame, or the frame as accumulated for our
-kernels. Tables are means over the scenes; of the bias the worst scene. Under each table the
-distances to the peers that models are to beat: differences, and ratios (x) where less is better;
-bold is worse. Times are in [performance.md](performance.md).
+kernels; fed the references of a sequence it shows what their own noise leaves of each figure, below
+which nothing can come. Tables are means over the scenes; of the bias the worst scene. Under each
+table the distances to the peers that models are to beat: differences, and ratios (x) where less is
+better; bold is worse. Times are in [performance.md](performance.md).
 
 """
 _WORSE = f"""## Worse than the input

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,8 @@ def evaluate_cases(
             if pictures:
                 title = f"{case.title}-{case.name}"
                 write_shown(pictures, f"{title}-reference", references[-1], references[-1])
-            for method, images in methods.run(case, frames, len(references)):
+            run = methods.run(case, frames, len(references))
+            for method, images in chain(run, methods.of_references(case, frames, references)):
                 rows.setdefault(method, {}).update(_measure(case, images, references, names))
                 if pictures:
                     write_shown(pictures, f"{title}-{method}", images[-1], references[-1])
