@@ -38,7 +38,7 @@ def small(name="munet-x2", **recipe):
     defaults = {
         "steps": 40, "batch": 2, "patch": 16, "frames": 3, "optimiser": "adam",
         "learning_rate": 4e-2, "warm_frames": 0, "average": 0.0, "shade_share": 0.0,
-        "firefly_share": 0.0,
+        "firefly_share": 0.0, "paint_share": 0.0,
     }  # fmt: skip
     training = replace(spec.training, **{**defaults, **recipe})
     return replace(spec, network=network, training=training)
@@ -153,6 +153,34 @@ def test_light_that_changes_changes_in_frame_and_reference(tmp_path, name):
     # from frame to frame of a patch
     changes = np.abs(np.diff(np.log(np.stack(seen).reshape(12, 4, -1)), axis=1)).max(axis=(1, 2))
     assert (changes > 0.05).mean() > 0.7
+
+
+@pytest.mark.parametrize("name", ["munet-x2", "munet-x1"])
+def test_paint_is_in_albedo_and_light_of_frame_and_reference_unless_black(tmp_path, name):
+    recipe = {"frames": 4, "drop_feature": 0.0, "plain_share": 0.0}
+    scale = load(name).decoder.scale
+    clip = load_clip(render(tmp_path / "plane-0-0", scale=scale), small(name), Strips(1))
+    plain, painted = (
+        ClipSampler([clip], small(name, patch=8 * scale, batch=1, paint_share=share, **recipe))
+        for share in (0.0, 1.0)
+    )
+    changed, black = 0, 0
+    for step in range(24):
+        factors = []
+        for before, after in zip(plain.batch(step), painted.batch(step), strict=True):
+            factor = after["wanted_albedo"] / before["wanted_albedo"]
+            assert 0 <= factor.min() <= factor.max() <= 1
+            light = 1.0 if (factor == 0).any() else factor
+            for key in ("color", "wanted"):
+                np.testing.assert_allclose(after[key], light * before[key], rtol=1e-5)
+            for key in ("albedo", "specular", "wanted_specular"):
+                np.testing.assert_allclose(after[key], factor * before[key], rtol=1e-5)
+            np.testing.assert_array_equal(after["normal"], before["normal"])
+            factors.append(factor)
+        black += bool(np.min(factors) == 0)
+        changed += bool(np.ptp(np.stack(factors), axis=0).max() > 0.05)
+    assert black >= 1
+    assert changed >= 6
 
 
 def test_fireflies_come_to_frames_and_not_to_references(tmp_path):

@@ -455,6 +455,9 @@ class Training:
     # share of patches of a recurrent model over which a shadow or a bright patch moves, or whose
     # light is switched, [0, 1]
     shade_share: float = 0.0
+    # share of patches of a recurrent model whose texture changes, or whose albedo is black in
+    # places, [0, 1]
+    paint_share: float = 0.0
     # share of patches of a recurrent model with fireflies, [0, 1]
     firefly_share: float = 0.0
     frames: int = 1  # that a recurrent model is unrolled over
@@ -475,7 +478,7 @@ class Training:
             _within(f"training.{key}", getattr(self, key), 0, 1e3)
         for key in (
             "quiet_power", "average", "still_share", "quiet_share", "drop_feature", "plain_share",
-            "shade_share", "firefly_share",
+            "shade_share", "paint_share", "firefly_share",
         ):  # fmt: skip
             _within(f"training.{key}", getattr(self, key), 0, 1)
         for key in ("steps", "batch", "patch", "frames"):

@@ -20,6 +20,7 @@ from stillray.model_spec.loader import FeatureFilters, Training
 from stillray.stages import features
 from stillray.stages.accumulate import bounded
 from stillray_training.blocks import frame_paths
+from stillray_training.paint import blackened, repainted
 from stillray_training.quiet import fireflies
 from stillray_training.shade import moving_shade, switched
 from stillray_training.simulate.sequence import RECORD
@@ -48,6 +49,7 @@ class Clip:
 
 
 _SWITCHED = 0.25  # share of the changes of light that are of all of it at once
+_BLACK = 0.3  # share of painted patches whose light is not painted
 _WANDERING = 0.5  # share of fireflies that come a pixel on with every frame
 _GUIDES = ("albedo", "normal", "roughness", "specular_albedo")
 #: A frame of a patch: arrays by name, channels first.
@@ -174,14 +176,30 @@ class ClipSampler:
             self._sample(clip, first + number, (top, left), change, light)
             for number, light in enumerate(lights)
         ]
+        side = (self._side * self._scale,) * 2
         if recipe.shade_share and rng.random() < recipe.shade_share:
             shades = switched if rng.random() < _SWITCHED else moving_shade
-            side = (self._side * self._scale,) * 2
             for sample, shade in zip(samples, shades(side, count, rng), strict=True):
                 # on the samples as they lie on the picture: each has the light of its place there
                 for name in ("color", "wanted"):
                     sample[name] = sample[name] * _planes(shade)
+        if recipe.paint_share and rng.random() < recipe.paint_share:
+            self._paint(samples, side, rng)
         return samples
+
+    def _paint(
+        self, samples: list[Sample], shape: tuple[int, int], rng: np.random.Generator
+    ) -> None:
+        """Multiply albedos by a texture, and the light by it too, unless it is black."""
+        names = ["albedo", "specular", "wanted_albedo", "wanted_specular"]
+        if rng.random() < _BLACK:
+            paints = blackened(shape, len(samples), rng)
+        else:
+            paints = repainted(shape, len(samples), rng)
+            names += ["color", "wanted"]
+        for sample, paint in zip(samples, paints, strict=True):
+            for name in names:
+                sample[name] = sample[name] * _planes(paint)
 
     def _fireflies(
         self, reference: np.ndarray, count: int, rng: np.random.Generator
