@@ -273,7 +273,7 @@ def shadow_moves_in_little_noise(denoiser: stillray.Denoiser) -> Iterator[float]
     "the same, 256 samples",
     _WITH_AND_WITHOUT,
     1.1,
-    kpyr_5="a little above it since it learned from rooms against their windows, 1.07 before; why was not found",
+    kpyr_5="a hair above it, 1.07 before it learned from rooms against windows; why was not found",
 )
 def shadow_moves_in_quiet_frames(denoiser: stillray.Denoiser) -> Iterator[float]:
     return _past_beside_none(denoiser, 256, 0.3)
