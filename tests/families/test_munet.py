@@ -89,7 +89,7 @@ def test_it_is_nearer_than_denoising_first_and_enlarging_then(fresh) -> None:
 def test_pictures_become_better_with_their_past(fresh) -> None:
     found = [psnr(fresh.denoise(frame(number)), wanted(number)) for number in range(12)]
     assert found[3] > found[0] + 1
-    assert min(found[8:]) > found[0] + 1.3
+    assert min(found[8:]) > found[0] + 1.2
 
 
 def test_a_hundred_still_frames_stay_what_they_show(fresh) -> None:
