@@ -1,37 +1,17 @@
-"""Scenes to learn from, built and rendered by Blender's own Python.
+"""Scenes to learn from, built and rendered by Blender's own Python."""
 
-Needs a Python that has ``bpy`` (``make programs``), this one or that of STILLRAY_BLENDER_PYTHON.
-"""
-
-import importlib.util
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stillray.io.exr.read_write import read_exr
+from tests.training.test_cycles_sequences import in_blender, render
 
-TRAINING = Path(__file__).parents[2] / "training"
-PYTHON = os.environ.get("STILLRAY_BLENDER_PYTHON") or (
-    sys.executable if importlib.util.find_spec("bpy") else ""
-)
 AGAINST_WINDOWS = 7  # a seed whose camera sees two of them, with muntins
 
-if not PYTHON:
-    pytest.skip(
-        "no Python with bpy here (make programs), and STILLRAY_BLENDER_PYTHON names none",
-        allow_module_level=True,
-    )
-
-
-def rendered(folder: Path, *options: str) -> subprocess.CompletedProcess:
-    command = [PYTHON, "-m", "stillray_training.blender.sequences", str(folder), *options]
-    own = {**os.environ, "PYTHONPATH": str(TRAINING)}
-    return subprocess.run(command, env=own, capture_output=True, text=True)
+pytestmark = in_blender
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +20,7 @@ def backlit(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("scenes")
     options = ["--first-seed", str(AGAINST_WINDOWS), "--count", "1", "--size", "32"]
     shares = ["--rooms", "1", "--panelled", "0", "--backlit", "1", "--box", "1"]
-    done = rendered(folder, *options, "--reference", "8", *shares)
+    done = render(folder, *options, "--reference", "8", *shares)
     assert done.returncode == 0, done.stderr
     return folder / f"{AGAINST_WINDOWS:05d}"
 
@@ -71,13 +51,7 @@ def test_bars_before_a_window_are_dark(backlit):
 
 def test_scenes_of_all_kinds_are_built(tmp_path):
     options = ["--count", "5", "--size", "8", "--reference", "1", "--rooms", "0.6"]
-    done = rendered(tmp_path, *options, "--panelled", "0.4", "--first-seed", "5")
+    done = render(tmp_path, *options, "--panelled", "0.4", "--first-seed", "5")
     assert done.returncode == 0, done.stderr
     kinds = {json.loads(path.read_text())["scene"] for path in tmp_path.glob("*/rendered.json")}
     assert kinds == {"cycles_room", "cycles_panelled", "cycles_table", "cycles_outdoors"}
-
-
-def test_a_share_that_is_none_is_told():
-    done = rendered(Path("nowhere"), "--backlit", "1.5")
-    assert done.returncode == 2
-    assert "backlit must be 0 to 1, got 1.5" in done.stderr

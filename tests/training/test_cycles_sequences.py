@@ -154,7 +154,7 @@ def test_painted_joinery_is_told_by_normals_alone(tmp_path):
 
 @in_blender
 def test_shares_are_shares(tmp_path):
-    for option in ("--rooms", "--panelled", "--box"):
+    for option in ("--rooms", "--panelled", "--backlit", "--box"):
         done = render(tmp_path, option, "1.5")
         assert done.returncode == 2
         assert f"{option[2:]} must be 0 to 1, got 1.5" in done.stderr

@@ -131,15 +131,20 @@ def test_patches_show_the_same_in_frame_and_reference(tmp_path, name):
             before = sample
 
 
+def without_and_with(folder, name, share):
+    """Samplers of one clip, of patches none or all of which have what a recipe gives a share of."""
+    recipe = {"frames": 4, "drop_feature": 0.0, "plain_share": 0.0, "batch": 1}
+    scale = load(name).decoder.scale
+    clip = load_clip(render(folder / "plane-0-0", scale=scale), small(name), Strips(1))
+    return (
+        ClipSampler([clip], small(name, patch=8 * scale, **recipe, **{share: given}))
+        for given in (0.0, 1.0)
+    )
+
+
 @pytest.mark.parametrize("name", ["munet-x2", "munet-x1"])
 def test_light_that_changes_changes_in_frame_and_reference(tmp_path, name):
-    recipe = {"frames": 4, "drop_feature": 0.0, "plain_share": 0.0}
-    scale = load(name).decoder.scale
-    clip = load_clip(render(tmp_path / "plane-0-0", scale=scale), small(name), Strips(1))
-    steady, shaded = (
-        ClipSampler([clip], small(name, patch=8 * scale, batch=1, shade_share=share, **recipe))
-        for share in (0.0, 1.0)
-    )
+    steady, shaded = without_and_with(tmp_path, name, "shade_share")
     seen = []
     for step in range(12):
         for before, after in zip(steady.batch(step), shaded.batch(step), strict=True):
@@ -157,13 +162,7 @@ def test_light_that_changes_changes_in_frame_and_reference(tmp_path, name):
 
 @pytest.mark.parametrize("name", ["munet-x2", "munet-x1"])
 def test_paint_is_in_albedo_and_light_of_frame_and_reference_unless_black(tmp_path, name):
-    recipe = {"frames": 4, "drop_feature": 0.0, "plain_share": 0.0}
-    scale = load(name).decoder.scale
-    clip = load_clip(render(tmp_path / "plane-0-0", scale=scale), small(name), Strips(1))
-    plain, painted = (
-        ClipSampler([clip], small(name, patch=8 * scale, batch=1, paint_share=share, **recipe))
-        for share in (0.0, 1.0)
-    )
+    plain, painted = without_and_with(tmp_path, name, "paint_share")
     changed, black = 0, 0
     for step in range(24):
         factors = []
