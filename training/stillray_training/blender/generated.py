@@ -36,7 +36,9 @@ from stillray_training.blender.place import Place
 _TRIES = 60  # at a place for the camera
 
 
-def build(kind: str, seed: int, assets: Path | None, frames: int) -> list[str]:
+def build(
+    kind: str, seed: int, assets: Path | None, frames: int, motion: float = 1.0
+) -> list[str]:
     """A scene, its camera, and what moves over frames -1 to ``frames``; the assets in it.
 
     Parameters
@@ -49,10 +51,14 @@ def build(kind: str, seed: int, assets: Path | None, frames: int) -> list[str]:
         Folder of licensed objects to stand about; None for none.
     frames
         How many will be rendered.
+    motion
+        The camera moves 1 to this many times as far, 1 or more: by 1, about 1.5 of 128 pixels a
+        frame.
     """
     place = Place(Random(f"{kind} {seed}"), assets)
     KINDS[kind](place)
-    _move(place, frames)
+    # drawn by itself: whatever the motion, a seed gives the same scene
+    _move(place, frames, motion ** Random(f"motion {seed}").random())
     return sorted(place.used)
 
 
@@ -537,13 +543,13 @@ def _open(at: Vector, to: Vector) -> bool:
     return close <= 2
 
 
-def _move(place: Place, frames: int) -> None:
+def _move(place: Place, frames: int, further: float) -> None:
     """Key the camera, a thing or a lamp for frames -1 to ``frames``, in some scenes none."""
     drawn = place.drawn
     if drawn.random() < 0.65:
         eye = bpy.context.scene.camera
-        step = Vector([drawn.gauss(0, 0.02) for _ in range(3)])
-        _key(eye, step, tuple(drawn.gauss(0, 0.006) for _ in range(3)), frames)
+        step = further * Vector([drawn.gauss(0, 0.02) for _ in range(3)])
+        _key(eye, step, tuple(further * drawn.gauss(0, 0.006) for _ in range(3)), frames)
     if place.things and drawn.random() < 0.4:
         for thing in drawn.sample(place.things, min(len(place.things), drawn.randint(1, 2))):
             step = Vector([drawn.gauss(0, 0.04), drawn.gauss(0, 0.04), abs(drawn.gauss(0, 0.02))])

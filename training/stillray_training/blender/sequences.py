@@ -26,6 +26,7 @@ _BLOCK_SEED, _REFERENCE_SEED = 100, 1000  # no two files share their noise
 _ROOMS = 0.5  # share of the scenes that are rooms
 _PANELLED = 0.4  # and of those, of rooms full of painted joinery
 _BACKLIT = 0.0  # and of the others, of rooms that are looked at against their windows
+_MOTION = 1.0  # cameras move up to so many times as far
 _BOX = 0.5  # share with a box filter, as other renderers have
 _TABLES = 0.6  # and of the others that are things on a table
 _NOISE = 0.01  # of a reference's pixel, at which it takes no more samples: Cycles' own
@@ -44,6 +45,8 @@ class Options:
     rooms, panelled, backlit, box
         Shares, [0, 1]: of scenes that are rooms, of rooms full of painted joinery, of other rooms
         that are looked at against their windows, and of scenes rendered with a box filter.
+    motion
+        Cameras move 1 to this many times as far as usual, 1 or more.
     assets
         Folder of licensed objects; None for none.
 
@@ -59,6 +62,7 @@ class Options:
     panelled: float = _PANELLED
     backlit: float = _BACKLIT
     box: float = _BOX
+    motion: float = _MOTION
     assets: Path | None = None
 
     def __post_init__(self) -> None:
@@ -68,6 +72,8 @@ class Options:
         for name in ("rooms", "panelled", "backlit", "box"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be 0 to 1, got {getattr(self, name)}")
+        if not 1 <= self.motion <= 100:
+            raise ValueError(f"motion must be 1 to 100, got {self.motion}")
         if self.assets is not None and not self.assets.is_dir():
             raise ValueError(f"assets must be a folder, got {self.assets}")
 
@@ -108,7 +114,7 @@ def render_scene(folder: Path, seed: int, options: Options) -> None:
     scene.cycles.sample_clamp_indirect = drawn.choice((10.0, 10.0, 3.0, 30.0))
     scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = drawn.random() < 0.5
     samples = drawn.choice((1, 1, 2, 4))
-    used = build(kind, seed, options.assets, FRAMES)
+    used = build(kind, seed, options.assets, FRAMES, options.motion)
     last = FRAMES - 1
     for frame in range(FRAMES):
         render(folder / f"frame_{frame:04d}.exr", frame=frame, samples=samples, seed=frame)
@@ -120,7 +126,7 @@ def render_scene(folder: Path, seed: int, options: Options) -> None:
     record = {
         "scene": kind, "seed": seed, "frames": FRAMES, "spp": samples, "blocks": BLOCKS,
         "reference_spp": options.reference, "height": size, "width": size, "used": used,
-        "filter": scene.cycles.pixel_filter_type, "clamp": scene.cycles.sample_clamp_indirect,
+        "motion": options.motion, "filter": scene.cycles.pixel_filter_type, "clamp": scene.cycles.sample_clamp_indirect,
         "blender": bpy.app.version_string,
     }  # fmt: skip
     (folder / RECORD).write_text(json.dumps(record, indent=1))
@@ -146,6 +152,9 @@ def main() -> None:
         help="of others, against windows, [0, 1]",
     )
     parser.add_argument("--box", type=float, default=usual.box, help="with a box filter, [0, 1]")
+    parser.add_argument(
+        "--motion", type=float, default=usual.motion, help="cameras move up to so many times as far"
+    )
     parser.add_argument("--assets", type=Path, help="folder of licensed objects")
     given = vars(parser.parse_args())
     folder, count, first = (given.pop(name) for name in ("folder", "count", "first_seed"))
