@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from stillray.compare.display import display_exposure, tone_map
+from stillray.compare.warping import Followed, warping_error
 from stillray.errors import InputError
 
 SMAPE_EPSILON = 0.01  # exposed radiance (Fan et al. 2021, eq. 6)
@@ -83,6 +84,9 @@ METRICS = (
     ),
     Metric(name="flicker", title="flicker ↓", format=".4f", module="numpy", package="numpy"),
     Metric(
+        name="warping", title="warping error ↓", format=".4f", module="numpy", package="numpy"
+    ),
+    Metric(
         name="cvvdp", title="ColorVideoVDP JOD ↑", format=".2f", module="pycvvdp", package="cvvdp",
         higher_is_better=True,
     ),
@@ -105,6 +109,7 @@ def evaluate(
     references: Sequence[np.ndarray],
     *,
     names: Collection[str] | None = None,
+    followed: Followed | None = None,
 ) -> dict[str, float]:
     """All metrics that can be measured here, or those named.
 
@@ -115,14 +120,17 @@ def evaluate(
         reference, and metrics of an image are those of the last one.
     names
         Names out of `METRICS`; None for all but those that are measured when named.
+    followed
+        Where the last image's pixels were in the one before, if that is known.
 
     Returns
     -------
     dict
         ``psnr`` in dB, ``ssim`` and ``cvvdp`` in JOD (higher is better), ``rmse``, ``smape``,
-        ``relmse``, ``flip``, ``edge`` and ``flicker`` (lower is better), ``bias`` in percent (0 is
-        best). ``rmse`` is of tone-mapped images, in [0, 1], so that ``psnr`` is -20 log10 of it.
-        ``flicker`` takes two frames or more; ``cvvdp`` sees one as a still.
+        ``relmse``, ``flip``, ``edge``, ``flicker`` and ``warping`` (lower is better), ``bias`` in
+        percent (0 is best). ``rmse`` is of tone-mapped images, in [0, 1], so that ``psnr`` is -20
+        log10 of it. ``flicker`` takes two frames or more, ``warping`` those and ``followed``, of
+        which some pixel was seen before; ``cvvdp`` sees one frame as a still.
     """
     image, reference = images[-1], references[-1]
     exposure = display_exposure(reference)
@@ -150,6 +158,8 @@ def evaluate(
         _, values["flip"] = flip(image, reference)
     if len(images) > 1:
         values["flicker"] = flicker(images[-2], image, references[-2], reference)
+    if len(images) > 1 and followed is not None and followed.seen.any():
+        values["warping"] = warping_error(images[-2], image, reference, followed)
     if "cvvdp" in measured:
         values["cvvdp"] = color_video_vdp(images, references)
     return {

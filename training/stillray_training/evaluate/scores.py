@@ -12,6 +12,8 @@ import numpy as np
 from stillray.compare import metrics
 from stillray.compare.display import display_exposure, tone_map, write_png
 from stillray.compare.metrics import METRICS, Metric
+from stillray.compare.warping import Followed
+from stillray.frame import Frame
 from stillray_training.evaluate.cases import Case
 from stillray_training.evaluate.methods import NOISY, Methods
 
@@ -52,12 +54,14 @@ def evaluate_cases(
         for case in progress(cases):
             frames, references = case.read()
             rows = results.setdefault(case.title, {})
+            followed = _followed(frames, len(references))
             if pictures:
                 title = f"{case.title}-{case.name}"
                 write_shown(pictures, f"{title}-reference", references[-1], references[-1])
             run = methods.run(case, frames, len(references))
             for method, images in chain(run, methods.of_references(case, frames, references)):
-                rows.setdefault(method, {}).update(_measure(case, images, references, names))
+                scores = _measure(case, images, references, names, followed)
+                rows.setdefault(method, {}).update(scores)
                 if pictures:
                     write_shown(pictures, f"{title}-{method}", images[-1], references[-1])
     return results
@@ -68,19 +72,29 @@ def _measure(
     images: Sequence[np.ndarray],
     references: Sequence[np.ndarray],
     names: Collection[str] | None,
+    followed: Sequence[Followed | None],
 ) -> dict[str, dict[str, float]]:
     """Case to values: the last frame's, or those of every frame."""
     if case.kind != "frames":
-        return {case.name: metrics.evaluate(images, references, names=names)}
+        last = followed[-1]
+        return {case.name: metrics.evaluate(images, references, names=names, followed=last)}
     first = len(case.frames) - len(case.references)
     return {
         f"frame {first + index}": metrics.evaluate(
             images[max(0, index - 1) : index + 1],
             references[max(0, index - 1) : index + 1],
             names=names,
+            followed=followed[index],
         )
         for index in range(len(images))
     }
+
+
+def _followed(frames: Sequence[Frame], count: int) -> list[Followed | None]:
+    """Where the pixels of the last frames, which have references, were; None of a first one."""
+    pairs = zip([None, *frames], frames, strict=False)
+    found = [before and Followed.between(before, frame) for before, frame in pairs]
+    return found[-count:]
 
 
 def taken_from(
