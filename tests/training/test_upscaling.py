@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import functools
 import json
 import time
 from dataclasses import replace
@@ -18,13 +19,20 @@ from stillray.errors import InputError  # noqa: E402
 from stillray.families.feature_filters import FeatureFiltersModel  # noqa: E402
 from stillray.frame import Frame  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
+from stillray_training import contact_sheets as sheets  # noqa: E402
 from stillray_training.checkpoint import load_network  # noqa: E402
 from stillray_training.loss_log import LOG  # noqa: E402
 from stillray_training.networks.fuse import fuse  # noqa: E402
 from stillray_training.networks.multi_branch import MultiBranchBlock, multi_branch_net  # noqa: E402
 from stillray_training.networks.repvgg import by_branches  # noqa: E402
 from stillray_training.simulate.sequence import RECORD, write  # noqa: E402
-from stillray_training.upscaling import compare, loop, price_list, unroll  # noqa: E402
+from stillray_training.upscaling import (  # noqa: E402
+    compare,
+    contact_sheets,
+    loop,
+    price_list,
+    unroll,
+)
 from stillray_training.upscaling.clips import ClipSampler, load_clip  # noqa: E402
 from stillray_training.upscaling.price_list import Way, prices  # noqa: E402
 from stillray_training.upscaling.time_in_turn import times_in_turn  # noqa: E402
@@ -336,3 +344,25 @@ def test_the_last_pictures_are_shown_at_the_references_size(tmp_path, monkeypatc
     assert names == {"noisy", *methods, "reference"}
     shapes = {cv2.imread(str(path)).shape for path in (tmp_path / "seen").iterdir()}
     assert shapes == {(20, 24, 3)}
+
+
+def test_contact_sheets_show_every_method_of_the_scenes_that_have_crops(tmp_path, monkeypatch):
+    monkeypatch.setattr(compare, "open_image_denoise", lambda color, *_: color)
+    folder = render(tmp_path / "data" / "plane-0-0")
+    (folder / RECORD).write_text(json.dumps({"scene": "plane"}))
+    crops = tmp_path / "crops.toml"
+    begin = "side = 8\nenlargement = 2\n"
+    sheet = '[[sheets]]\nfile = "{0}"\nset = "sequences"\ncase = "{0}"\n'
+    sheet += 'crops = [{{ what = "a corner", x = 16, y = 12 }}]\n'
+    crops.write_text(begin + sheet.format("plane") + sheet.format("elsewhere"))
+    out = tmp_path / "sheets"
+    show = functools.partial(contact_sheets.main, model="munet-x2", flagship="kpyr-5s", out=out)
+    show(tmp_path / "data", crops=crops)
+    assert [path.name for path in out.iterdir()] == ["plane-x2.png"]
+    # noisy, three methods, the reference
+    height, width, _ = cv2.imread(str(out / "plane-x2.png")).shape
+    step = 8 * 2 + sheets.GAP
+    assert (height, width) == (sheets.TOP + 5 * step, sheets.LEFT + step)
+    crops.write_text(begin + sheet.format("elsewhere"))
+    with pytest.raises(InputError, match=r"data must hold scenes that .*crops\.toml has crops of"):
+        show(tmp_path / "data", crops=crops)

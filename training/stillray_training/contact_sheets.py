@@ -122,7 +122,7 @@ def _write(page: np.ndarray, text: str, place: tuple[int, int]) -> None:
     cv2.putText(page, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
 
 
-def _save(path: Path, page: np.ndarray) -> None:
+def save(path: Path, page: np.ndarray) -> None:
     """Write a small PNG: enlarged pixels are worth the strongest compression."""
     coded = cv2.imencode(".png", page[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1]
     with atomic_path(path) as temporary:
@@ -158,7 +158,7 @@ def main(
             continue
         rows, exposure = pictures(case, model)
         page = compose(sheet, rows, exposure=exposure, side=side, enlargement=enlargement)
-        _save(out / f"{sheet.file}.png", page)
+        save(out / f"{sheet.file}.png", page)
         print(out / f"{sheet.file}.png")
 
 

@@ -45,7 +45,7 @@ class Followed:
             return None
         motion = np.asarray(frame.motion, np.float32)
         height, width = motion.shape[:2]
-        finite = np.isfinite(motion).all(axis=-1)
+        finite = np.asarray(np.isfinite(motion).all(axis=-1))
         positions = positions_of(np.where(finite[..., None], motion, 0), slice(0, height))
         x, y = positions[..., 0], positions[..., 1]
         seen = finite & (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)

@@ -36,9 +36,7 @@ from stillray_training.blender.place import Place
 _TRIES = 60  # at a place for the camera
 
 
-def build(
-    kind: str, seed: int, assets: Path | None, frames: int, motion: float = 1.0
-) -> list[str]:
+def build(kind: str, seed: int, assets: Path | None, frames: int, motion: float = 1.0) -> list[str]:
     """A scene, its camera, and what moves over frames -1 to ``frames``; the assets in it.
 
     Parameters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -92,9 +92,8 @@ def _measure(
 
 def _followed(frames: Sequence[Frame], count: int) -> list[Followed | None]:
     """Where the pixels of the last frames, which have references, were; None of a first one."""
-    pairs = zip([None, *frames], frames, strict=False)
-    found = [before and Followed.between(before, frame) for before, frame in pairs]
-    return found[-count:]
+    found = [Followed.between(before, frame) for before, frame in pairwise(frames)]
+    return [None, *found][-count:]
 
 
 def taken_from(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -38,14 +39,27 @@ SEEN = (*MEASURED, "cvvdp")  # and what eyes would make of it, which takes a sec
 PICTURES = 2
 
 
-def measure(
-    sequence: Path,
-    model: str,
-    flagship: str,
-    full: Path | None = None,
-    pictures: Path | None = None,
-) -> dict[str, dict[str, float]]:
-    """Metrics by method of the last frame of a sequence.
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """The last pictures of a sequence.
+
+    Attributes
+    ----------
+    noisy : (h, w, 3) float32
+        The last frame, its pixels as large as they have become.
+    methods
+        Name of each method to its last pictures.
+    references
+        Of those.
+    """
+
+    noisy: np.ndarray
+    methods: Mapping[str, list[np.ndarray]]
+    references: list[np.ndarray]
+
+
+def compared(sequence: Path, model: str, flagship: str, full: Path | None = None) -> Compared:
+    """What each method makes of a sequence.
 
     Parameters
     ----------
@@ -57,9 +71,7 @@ def measure(
         Whose pictures are enlarged.
     full
         Folder of the same scenes traced at the references' size, by name: what the flagship and
-        Open Image Denoise make of all pixels is measured, too.
-    pictures
-        Folder for tone-mapped PNGs of the last frame.
+        Open Image Denoise make of all pixels is there, too.
 
     Raises
     ------
@@ -77,19 +89,43 @@ def measure(
     for method, images in ((title, first), (OIDN, _oidn(frames))):
         methods[ENLARGED.format(method)] = [enlarge(image, scale) for image in images]
     if full is not None:
-        traced = frames_of(full / json.loads((sequence / RECORD).read_text())["scene"])
+        traced = frames_of(full / scene_of(sequence))
         if not traced or traced[-1].shape != size:
             raise InputError(f"full must hold {sequence.name}'s scene of {size}, got {full}")
         methods[TRACED.format(title)] = denoised(flagship, traced)[2]
         methods[TRACED.format(OIDN)] = _oidn(traced)
+    noisy = np.repeat(np.repeat(frames[-1].color, scale, 0), scale, 1)
+    return Compared(noisy, methods, references)
+
+
+def scene_of(sequence: Path) -> str:
+    """Name of the scene that a sequence was rendered of."""
+    return str(json.loads((sequence / RECORD).read_text())["scene"])
+
+
+def measure(
+    sequence: Path,
+    model: str,
+    flagship: str,
+    full: Path | None = None,
+    pictures: Path | None = None,
+) -> dict[str, dict[str, float]]:
+    """Metrics by method of the last frame of a sequence, see `compared`.
+
+    Parameters
+    ----------
+    pictures
+        Folder for tone-mapped PNGs of the last frame.
+    """
+    found = compared(sequence, model, flagship, full)
     if pictures is not None:
-        noisy = np.repeat(np.repeat(frames[-1].color, scale, 0), scale, 1)
-        last = {method: images[-1] for method, images in methods.items()}
-        for name, image in {"noisy": noisy, **last, "reference": references[-1]}.items():
-            write_shown(pictures, f"{sequence.name}-{name}", image, references[-1])
+        last = {method: images[-1] for method, images in found.methods.items()}
+        reference = found.references[-1]
+        for name, image in {"noisy": found.noisy, **last, "reference": reference}.items():
+            write_shown(pictures, f"{sequence.name}-{name}", image, reference)
     return {
-        method: metrics.evaluate(images, references, names=SEEN)
-        for method, images in methods.items()
+        method: metrics.evaluate(images, found.references, names=SEEN)
+        for method, images in found.methods.items()
     }
 
 
