@@ -309,6 +309,32 @@ def test_a_recurrent_model_learns_from_its_own_previous_outputs(data, tmp_path):
     assert (tmp_path / patch_training.PREVIOUS).is_file()
 
 
+def test_data_that_is_named_twice_has_previous_outputs_twice(data, tmp_path, monkeypatch):
+    """The first of both kept none, and was learned from as if it had no past."""
+    spec = load("kpyr-5")
+    recipe = dataclasses.replace(
+        spec.training, steps=2, batch=1, patch=32, history_from=1, history_every=1
+    )
+    spec = dataclasses.replace(spec, training=recipe)
+    seen = []
+    original = patch_training.PatchSampler.batch
+    monkeypatch.setattr(
+        patch_training.PatchSampler,
+        "batch",
+        lambda self, step: seen.append(list(self._examples)) or original(self, step),
+    )
+    patch_training.train(spec, [data, data], tmp_path, save_every=2)
+    half = len(seen[-1]) // 2
+    recurrent = 0
+    for first, second in zip(seen[-1][:half], seen[-1][half:], strict=True):
+        assert (first.sequence, first.frames, first.kind) == (
+            second.sequence, second.frames, second.kind,
+        )  # fmt: skip
+        assert np.array_equal(first.previous, second.previous)
+        recurrent += bool(first.previous[..., 3].any())
+    assert recurrent
+
+
 def test_a_checkpoint_of_another_network_is_refused(data, small, tmp_path):
     short = dataclasses.replace(small, training=dataclasses.replace(small.training, steps=1))
     patch_training.train(short, [data], tmp_path, save_every=1)

@@ -301,8 +301,17 @@ def _sample(prepared: Prepared) -> np.ndarray:
     return interleave(prepared.sample, out=np.empty_like(prepared.history.mean))
 
 
-def previous_outputs(sequence: Path, model: Path, strips: Strips) -> dict[int, np.ndarray]:
+def previous_outputs(sequence: Path, denoiser: Denoiser, strips: Strips) -> dict[int, np.ndarray]:
     """What a model, run as users run it, remembers at the last frame of a sequence.
+
+    Parameters
+    ----------
+    sequence
+        Its folder.
+    denoiser
+        The model, opened once for many sequences; left with the state of this one.
+    strips
+        Where the rest runs.
 
     Returns
     -------
@@ -312,15 +321,14 @@ def previous_outputs(sequence: Path, model: Path, strips: Strips) -> dict[int, n
     """
     frames = frames_of(sequence)
     remembered = {}
-    with Denoiser(model, threads=1) as denoiser:
-        family = kernels_of(denoiser.model.spec)
-        for count in STARTS[1:]:  # one frame has no past
-            denoiser.reset()
-            for frame in frames[-count:-1]:
-                denoiser.denoise(frame)
-            context = Context(strips=strips)
-            plan = family.plan(frames[-1], denoiser.state, Request(), context)
-            _, previous = family.prepare(plan, context)
-            if previous is not None:
-                remembered[count] = previous
+    family = kernels_of(denoiser.model.spec)
+    for count in STARTS[1:]:  # one frame has no past
+        denoiser.reset()
+        for frame in frames[-count:-1]:
+            denoiser.denoise(frame)
+        context = Context(strips=strips)
+        plan = family.plan(frames[-1], denoiser.state, Request(), context)
+        _, previous = family.prepare(plan, context)
+        if previous is not None:
+            remembered[count] = previous
     return remembered

@@ -18,6 +18,7 @@ from torch.utils._pytree import tree_map
 from stillray.arrays.strips import Strips
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec
+from stillray.pipeline.denoiser import Denoiser
 from stillray_training.examples import NOISY, Example, load_examples, previous_outputs
 from stillray_training.families import FAMILIES, Family
 from stillray_training.losses import (
@@ -186,15 +187,16 @@ def _refresh_previous_output(
     Gradients stop at the previous output, which grows old until it is renewed; in return the
     recurrence costs nothing a step, and is as long as the sequence.
     """
-    task = progress.add_task("previous output", total=len(sequences))
-    places = {
-        (example.sequence, example.frames): index
-        for index, example in enumerate(examples)
-        if example.kind == NOISY
-    }
-    for sequence in sequences:
-        for frames, previous in previous_outputs(sequence, model, Strips(1)).items():
-            at = places[sequence.name, frames]
-            examples[at] = dataclasses.replace(examples[at], previous=previous)
-        progress.advance(task)
+    once = list(dict.fromkeys(sequences))  # data may be named twice, so that it counts twice
+    task = progress.add_task("previous output", total=len(once))
+    places: dict[tuple[str, int], list[int]] = {}
+    for index, example in enumerate(examples):
+        if example.kind == NOISY:
+            places.setdefault((example.sequence, example.frames), []).append(index)
+    with Denoiser(model, threads=1) as denoiser:
+        for sequence in once:
+            for frames, previous in previous_outputs(sequence, denoiser, Strips(1)).items():
+                for at in places[sequence.name, frames]:
+                    examples[at] = dataclasses.replace(examples[at], previous=previous)
+            progress.advance(task)
     progress.remove_task(task)
