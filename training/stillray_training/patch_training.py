@@ -166,9 +166,12 @@ def load_all(data: list[Path], spec: ModelSpec, progress: Progress) -> list[Exam
     """
     sequences = sequences_in(data)
     loading = progress.add_task("load", total=len(sequences))
+    loaded: dict[Path, list[Example]] = {}  # what is named twice takes memory once
     examples: list[Example] = []
     for sequence in sequences:
-        examples += load_examples(sequence, spec, Strips(1))
+        if sequence not in loaded:
+            loaded[sequence] = load_examples(sequence, spec, Strips(1))
+        examples += loaded[sequence]
         progress.advance(loading)
     return examples
 
