@@ -149,8 +149,10 @@ def planes_of(image: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
     height, width, channels = image.shape
     if out is None:
         out = np.empty((channels, height, width), np.float32)
-    # as matrices, in half the time of cv2.split
-    cv2.transpose(_flat(image), dst=out.reshape(channels, -1))
+    if channels == 3:
+        cv2.split(image, list(out))
+    else:  # as matrices, in four fifths of the time of cv2.split
+        cv2.transpose(_flat(image), dst=out.reshape(channels, -1))
     return out
 
 

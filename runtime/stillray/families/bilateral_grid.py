@@ -24,6 +24,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
+from stillray.arrays.bounds import at_least, at_most
 from stillray.arrays.strips import Strips
 from stillray.arrays.workspace import Workspace
 from stillray.families.temporal_kernels import Looks, TemporalKernels
@@ -269,7 +270,7 @@ class _Grid:
         # from sums to means, and 1 where a cell is not empty: empty ones have sums of exactly 0
         columns = part.reshape(-1, *part.shape[2:])
         filled = cv2.extractChannel(columns, 3, dst=workspace.array("filled", columns.shape[:2]))
-        np.reciprocal(np.maximum(filled, _EMPTY, out=filled), out=filled)
+        np.reciprocal(at_least(filled, _EMPTY, out=filled), out=filled)
         columns *= _four_times(filled, workspace)
         at, far = self._places(grid_guide, workspace)
         near, deep = (workspace.array(name, far.shape) for name in ("near", "deep"))
@@ -321,10 +322,10 @@ class _Grid:
         np.clip(place, 0, 1, out=place)
         place *= self._rate
         np.floor(place, out=floor)
-        np.minimum(floor, self._last, out=floor)
+        at_most(floor, self._last, out=floor)
         place -= floor
         # pixels beyond the frame count nothing, but need a place
-        np.maximum(floor, np.float32(self._first), out=floor)
+        at_least(floor, self._first, out=floor)
         at = workspace.array("at", shape, np.intp)
         np.copyto(at, floor, casting="unsafe")
         row = np.arange(shape[1])[:, None] % self.spacing
@@ -364,7 +365,7 @@ def _blended(
             np.multiply(rest, np.clip(share, 0, 1, out=factor), out=factor)
             rest -= factor
         found = cv2.extractChannel(sums, 3, dst=workspace.array("weight", shape))
-        factor /= np.maximum(found, _EMPTY, out=found)
+        factor /= at_least(found, _EMPTY, out=found)
         cv2.accumulateProduct(sums, _four_times(factor, workspace), total)
     return total
 

@@ -28,6 +28,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stillray.arrays.bounds import at_most
 from stillray.arrays.resample import halve
 from stillray.arrays.strips import STRIP_PIXELS, Strips, planes_of, with_halo
 from stillray.arrays.workspace import Workspace
@@ -267,7 +268,7 @@ class _Reconstruction:
         held = factor * past[rows, :, 3]  # what the past weighs against this frame
         total = held + 1
         np.divide(total * total, held * factor + 1, out=target[..., 3])
-        np.minimum(target[..., 3], np.float32(self._rules.max_samples), out=target[..., 3])
+        at_most(target[..., 3], self._rules.max_samples, out=target[..., 3])
         before = planes_of(past[rows])
         for channel in range(3):
             # two products, since a difference would cancel where a firefly meets a dark past

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stillray.arrays.bounds import at_least
 from stillray.arrays.workspace import Workspace
 from stillray.families.pyramid_logits import NEIGHBOURS
 
@@ -87,7 +88,7 @@ def gaussian(
         cv2.add(norms[first], norms[second], dst=alike)
         for plane in weights.features:
             cv2.accumulateProduct(plane[first], plane[second], alike)
-        np.maximum(alike, -MOST_DISTANCE, out=alike)
+        at_least(alike, -MOST_DISTANCE, out=alike)
         cv2.exp(alike, dst=alike)
         for sign, left in ((1, beyond), (-1, across - beyond)):
             top = distance * down * (sign > 0)

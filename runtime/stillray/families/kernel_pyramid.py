@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from stillray.arrays.bounds import at_most
 from stillray.arrays.extend import extended
 from stillray.arrays.resample import halve
 from stillray.arrays.strips import Strips, interleave, planes_of, with_halo
@@ -400,7 +401,7 @@ class _Level:
             own = others.pop(0)
             # a sample that weighs less than one counts as little for its own pixel, see
             # docs/decisions.md: else a lone firefly of a first frame would lift it
-            own *= np.minimum(self.planes[3, rows], 1, out=workspace.array("sample_weight", shape))
+            own *= at_most(self.planes[3, rows], 1, out=workspace.array("sample_weight", shape))
             for plane, sums in zip(self.planes, light, strict=False):
                 cv2.accumulateProduct(plane[rows], own, sums)
         normal = workspace.array("normal", shape)
@@ -551,4 +552,4 @@ def _weigh_brighter_less(toned: np.ndarray, weights: np.ndarray, workspace: Work
     np.reciprocal(toned, out=toned)
     for weight, (down, right) in zip(weights, NEIGHBOURS, strict=True):
         np.multiply(own, toned[1 + down :, 1 + right :][:height, :width], out=less)
-        weight *= np.minimum(less, 1, out=less)
+        weight *= at_most(less, 1, out=less)

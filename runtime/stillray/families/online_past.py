@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stillray.arrays.bounds import at_most
 from stillray.arrays.strips import STRIP_PIXELS, Strips, interleave, planes_of, with_halo
 from stillray.families.contract import Context
 from stillray.model_spec.loader import Temporal
@@ -158,7 +159,7 @@ def logarithm(radiance: np.ndarray, exposure: float) -> np.ndarray:
     """Log of one and the exposed radiance (Choi et al. 2024, section 4.4), float32."""
     with np.errstate(over="ignore"):
         exposed = radiance * np.float32(exposure)
-    return np.minimum(np.log1p(exposed, out=exposed), _MOST_LOG, out=exposed)
+    return at_most(np.log1p(exposed, out=exposed), _MOST_LOG, out=exposed)
 
 
 def radiance_of(log: np.ndarray, exposure: float, strips: Strips) -> np.ndarray:
@@ -195,7 +196,7 @@ def remodulated(irradiance: np.ndarray, albedo: np.ndarray | None, strips: Strip
             radiance[rows] = irradiance[rows, :, :3]
         else:
             np.multiply(irradiance[rows, :, :3], albedo[rows], out=radiance[rows])
-            np.minimum(radiance[rows], MAX_RADIANCE, out=radiance[rows])
+            at_most(radiance[rows], MAX_RADIANCE, out=radiance[rows])
 
     strips.run(work, *radiance.shape[:2])
     return radiance

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stillray.arrays.bounds import at_most
 from stillray.families.feature_reconstruction import Accumulated, Enlarged
 
 #: Of the mu-law (Kalantari and Ramamoorthi 2017): a three-hundredth of white lies at a third.
@@ -49,7 +50,7 @@ class Surfaces:
 
 def tone_map(radiance: np.ndarray, exposure: float) -> np.ndarray:
     """``log(1 + mu x) / log(1 + mu)`` of exposed radiance, [0, 1] for what a display shows."""
-    exposed = np.minimum(radiance, np.float32(MOST_LIGHT / exposure)) * np.float32(exposure)
+    exposed = at_most(radiance, MOST_LIGHT / exposure) * np.float32(exposure)
     exposed *= np.float32(MU)
     exposed += 1
     mapped = cv2.log(exposed, dst=exposed)  # a seventh of the time of np.log1p, 6e-7 off at most

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from stillray.arrays.bounds import at_most
 from stillray.arrays.workspace import Workspace
 from stillray.model_spec.loader import Temporal, Transfer
 from stillray.stages.features import local_luminance, luminance, tone_map
@@ -82,7 +83,7 @@ def sample_weight(
     with np.errstate(over="ignore"):
         weight *= scale
     if scale > _SAFE_SCALE:
-        np.minimum(weight, _HUGE, out=weight)
+        at_most(weight, _HUGE, out=weight)
     np.add(weight, 1, out=usual)
     np.divide(weight, usual, out=usual)
     weight *= usual

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stillray.arrays.bounds import at_least, at_most
 from stillray.arrays.strips import Strips, with_halo
 from stillray.arrays.workspace import Workspace
 from stillray.stages.accumulate import DARK, MIN_WEIGHT
@@ -103,16 +104,16 @@ def compare(
     with np.errstate(over="ignore"):
         np.multiply(light, scale, out=shown)
         if weight.min() < MIN_WEIGHT:  # as `stillray.stages.accumulate.clamp_fireflies` does
-            shown *= np.minimum(weight, MIN_WEIGHT, out=temporary) / np.float32(MIN_WEIGHT)
+            shown *= at_most(weight, MIN_WEIGHT, out=temporary) / np.float32(MIN_WEIGHT)
         before = luminance_of_planes(past, out=difference)
         before *= scale
-    np.minimum(shown, _BRIGHTEST, out=shown)
-    np.minimum(before, _BRIGHTEST, out=before)
+    at_most(shown, _BRIGHTEST, out=shown)
+    at_most(before, _BRIGHTEST, out=before)
     np.subtract(shown, before, out=difference)
     samples = past[3]
     np.add(samples, 1, out=temporary)
     np.divide(samples, temporary, out=counted)
-    np.maximum(weight, MIN_WEIGHT, out=temporary)
+    at_least(weight, MIN_WEIGHT, out=temporary)
     counted *= temporary
     if weight.min() <= 0:
         counted[weight <= 0] = 0
@@ -131,7 +132,7 @@ def compare(
     reduced(planes[2], lit)
     # a E[d x] - (a d) (a x) / a
     blocks = workspace.array("blocks", lit.shape)
-    np.maximum(held, _LEAST_WEIGHT, out=blocks)
+    at_least(held, _LEAST_WEIGHT, out=blocks)
     np.divide(lit, blocks, out=blocks)
     blocks *= apart
     variance -= blocks
@@ -220,10 +221,10 @@ class _Window:
         count = np.float32(_WINDOW**2 * (4 << 2 * level))
 
         def work(rows: slice) -> None:
-            share = np.reciprocal(np.maximum(held[rows], _LEAST_WEIGHT))
+            share = np.reciprocal(at_least(held[rows], _LEAST_WEIGHT))
             for mean in (difference, light, variance):
                 mean[rows] *= share
-            np.maximum(variance[rows], 0, out=variance[rows])
+            at_least(variance[rows], 0, out=variance[rows])
             held[rows] *= count
 
         strips.run(work, *held.shape)
@@ -243,7 +244,7 @@ class _Window:
         """Single blocks of 2x2 pixels, with the light and the variance of the windows around."""
         return _Window(
             samples=4 * planes[0],
-            difference=planes[1] / np.maximum(planes[0], _LEAST_WEIGHT),
+            difference=planes[1] / at_least(planes[0], _LEAST_WEIGHT),
             light=window.light,
             variance=window.variance,
         )
@@ -360,7 +361,7 @@ def _confidence_of_blocks(
 def _shrunk(bias: np.ndarray, window: _Window, usual: np.ndarray, threshold: float) -> np.ndarray:
     """`_corrected` of a strip."""
     error: np.ndarray = np.maximum(window.variance, usual)
-    error *= 1 / np.maximum(window.samples, _LEAST_WEIGHT) + 1 / _MOST_SAMPLES
+    error *= 1 / at_least(window.samples, _LEAST_WEIGHT) + 1 / _MOST_SAMPLES
     error *= np.float32(threshold**2)
     error += np.square(window.systematic())
     rest: np.ndarray = window.difference - bias
@@ -373,7 +374,7 @@ def _shrunk(bias: np.ndarray, window: _Window, usual: np.ndarray, threshold: flo
 
 def _kept(bias: np.ndarray, window: _Window, held: np.ndarray) -> np.ndarray:
     """What a bias leaves of the past's samples, by blocks of 2x2 pixels."""
-    samples = held / np.maximum(1 - held, _LEAST_WEIGHT)  # of n / (n + 1)
+    samples = held / at_least(1 - held, _LEAST_WEIGHT)  # of n / (n + 1)
     variance = window.variance + np.square(window.systematic())
     lost: np.ndarray = np.square(bias)
     lost *= samples

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
+from stillray.arrays.bounds import at_least, at_most
 from stillray.arrays.strips import Strips, pixels_of, with_halo
 from stillray.arrays.workspace import Workspace
 from stillray.stages import features as encode
@@ -80,7 +81,8 @@ def forget_uncovered(
             mine.reshape(-1, 4)[lost, 3] *= valid
             pixels_of(mine)[lost[valid == 0]] = 0
         if uncovered is not None:
-            pixels_of(mine)[np.flatnonzero(uncovered[rows])] = 0
+            # of booleans, which are found ten times as fast as bytes
+            pixels_of(mine)[np.flatnonzero(uncovered[rows] != 0)] = 0
 
     strips.run(work, *past.shape[:2])
     return result
@@ -255,11 +257,11 @@ class _Luminance:
             cv2.remap(extremes, corner, None, cv2.INTER_NEAREST, limit, border)
             limited(sharp, limit, dst=sharp)
         encode.luminance(taken, out=linear)
-        np.maximum(linear, _DARK, out=linear)
-        np.maximum(sharp, _DARK, out=sharp)
+        at_least(linear, _DARK, out=linear)
+        at_least(sharp, _DARK, out=sharp)
         with np.errstate(over="ignore"):
             np.divide(sharp, linear, out=sharp)
-        np.minimum(sharp, _MOST, out=sharp)
+        at_most(sharp, _MOST, out=sharp)
         if valid.min() < _WHOLE:
             sharp[valid < _WHOLE] = 1
         return sharp

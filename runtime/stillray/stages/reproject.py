@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stillray.arrays.bounds import at_least
 from stillray.arrays.strips import interleave, pixels_of, planes_of
 from stillray.arrays.workspace import Workspace
 from stillray.model_spec.loader import Temporal
@@ -267,7 +268,7 @@ def _bound_blur(
     np.subtract(positions, share, out=share)
     share -= np.square(share, out=workspace.array("squared share", share.shape))
     blur = np.add(share[..., 0], share[..., 1], out=workspace.array("blur", share.shape[:2]))
-    np.maximum(blur, np.float32(LEAST_BLUR), out=blur)
+    at_least(blur, LEAST_BLUR, out=blur)
     np.minimum(taken[..., 3], np.divide(np.float32(most), blur, out=blur), out=taken[..., 3])
 
 

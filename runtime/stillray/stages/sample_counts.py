@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stillray.arrays.bounds import at_least
 from stillray.arrays.strips import Strips
 
 #: Share of the mean's samples that a pixel counts as at least, if it has any: float32 holds what
@@ -103,7 +104,7 @@ def _shares(samples: np.ndarray, sampled: np.ndarray, mean: float, strips: Strip
 
     def work(rows: slice) -> None:
         part = np.where(sampled[rows], samples[rows] / unit, np.float32(1))
-        np.maximum(part, np.float32(LEAST_SHARE), out=share[rows])
+        at_least(part, LEAST_SHARE, out=share[rows])
 
     strips.run(work, *samples.shape)
     return share

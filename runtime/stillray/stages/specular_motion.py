@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stillray.arrays.bounds import at_most
 from stillray.arrays.resample import double, halve
 from stillray.arrays.strips import STRIP_PIXELS, Strips, with_halo
 from stillray.model_spec.loader import Demodulate
@@ -143,7 +144,7 @@ def _place(
 
 def _inverse(depth: np.ndarray, unit: float) -> np.ndarray:
     with np.errstate(over="ignore", divide="ignore", under="ignore"):
-        return np.minimum(np.float32(1) / (depth * np.float32(unit)), _NEAREST)
+        return at_most(np.float32(1) / (depth * np.float32(unit)), _NEAREST)
 
 
 def has_mirrors(albedo: np.ndarray, black: float) -> bool:
