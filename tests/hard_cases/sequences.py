@@ -144,10 +144,9 @@ def texture_that_changes(denoiser: stillray.Denoiser) -> float:
     wanted = run(denoiser, painted(0.8, 0.2, 24))
     run(denoiser, painted(0.2, 0.8, 12))
     last = 0
-    for index, frame in enumerate(painted(0.8, 0.2, 24)):
-        fresh = wanted[index]
+    for index, (frame, fresh) in enumerate(zip(painted(0.8, 0.2, 24), wanted, strict=True), 1):
         if np.abs(denoiser.denoise(frame) - fresh).mean() > 0.1 * fresh.mean():
-            last = index + 1
+            last = index
     return float(last + 1)
 
 

@@ -10,6 +10,7 @@ from stillray.io.exr.read_write import read_exr
 from tests.training.test_cycles_sequences import in_blender, render
 
 AGAINST_WINDOWS = 7  # a seed whose camera sees two of them, with muntins
+MOVING = 3  # a seed whose camera moves
 
 pytestmark = in_blender
 
@@ -55,3 +56,24 @@ def test_scenes_of_all_kinds_are_built(tmp_path):
     assert done.returncode == 0, done.stderr
     kinds = {json.loads(path.read_text())["scene"] for path in tmp_path.glob("*/rendered.json")}
     assert kinds == {"cycles_room", "cycles_panelled", "cycles_table", "cycles_outdoors"}
+
+
+def test_cameras_move_further_in_the_same_scene(tmp_path):
+    """Frame 4 of 8 is where all motions pass; frames before and after are further apart."""
+    shown = {}
+    for motion in ("1", "6"):
+        options = ["--first-seed", str(MOVING), "--count", "1", "--size", "16", "--reference", "1"]
+        done = render(tmp_path / motion, *options, "--motion", motion)
+        assert done.returncode == 0, done.stderr
+        frames = sorted((tmp_path / motion / f"{MOVING:05d}").glob("frame_*.exr"))
+        shown[motion] = [read_exr(path) for path in frames]
+    usual, further = shown["1"], shown["6"]
+    assert np.array_equal(usual[4].depth, further[4].depth)
+    paths = [np.abs(frames[5].motion).mean() for frames in (usual, further)]
+    assert paths[1] > 1.2 * paths[0] > 0.1
+
+
+def test_a_motion_that_is_less_than_usual_is_told(tmp_path):
+    done = render(tmp_path, "--motion", "0.5")
+    assert done.returncode == 2
+    assert "motion must be 1 to 100, got 0.5" in done.stderr

@@ -286,21 +286,27 @@ def test_a_weight_adds_its_part_of_the_loss(data, small, key):
     assert loss(3.0) - loss(0.0) == pytest.approx(3 * float(part.mean()), rel=1e-4)
 
 
-def test_a_recurrent_model_learns_from_its_own_previous_outputs(data, tmp_path):
+def examples_seen(monkeypatch, data, out, *, steps, renewed_every):
+    """What `kpyr-5` draws its patches from at each step, its outputs renewed every so many."""
     spec = load("kpyr-5")
     recipe = dataclasses.replace(
-        spec.training, steps=4, batch=1, patch=32, history_from=2, history_every=2
-    )
-    spec = dataclasses.replace(spec, training=recipe)
+        spec.training, steps=steps, batch=1, patch=32,
+        history_from=renewed_every, history_every=renewed_every,
+    )  # fmt: skip
     seen = []
     original = patch_training.PatchSampler.batch
-    try:
-        patch_training.PatchSampler.batch = lambda self, step: (
-            seen.append(self._examples[1]) or original(self, step)
-        )
-        patch_training.train(spec, [data], tmp_path, save_every=4)
-    finally:
-        patch_training.PatchSampler.batch = original
+    monkeypatch.setattr(
+        patch_training.PatchSampler,
+        "batch",
+        lambda self, step: seen.append(list(self._examples)) or original(self, step),
+    )
+    patch_training.train(dataclasses.replace(spec, training=recipe), data, out, save_every=steps)
+    return seen
+
+
+def test_a_recurrent_model_learns_from_its_own_previous_outputs(data, tmp_path, monkeypatch):
+    found = examples_seen(monkeypatch, [data], tmp_path, steps=4, renewed_every=2)
+    seen = [examples[1] for examples in found]
     valid = [example.previous[..., 3].mean() for example in seen]
     assert valid[0] == valid[1] == 0
     assert valid[2] > 0.9
@@ -311,22 +317,10 @@ def test_a_recurrent_model_learns_from_its_own_previous_outputs(data, tmp_path):
 
 def test_data_that_is_named_twice_has_previous_outputs_twice(data, tmp_path, monkeypatch):
     """The first of both kept none, and was learned from as if it had no past."""
-    spec = load("kpyr-5")
-    recipe = dataclasses.replace(
-        spec.training, steps=2, batch=1, patch=32, history_from=1, history_every=1
-    )
-    spec = dataclasses.replace(spec, training=recipe)
-    seen = []
-    original = patch_training.PatchSampler.batch
-    monkeypatch.setattr(
-        patch_training.PatchSampler,
-        "batch",
-        lambda self, step: seen.append(list(self._examples)) or original(self, step),
-    )
-    patch_training.train(spec, [data, data], tmp_path, save_every=2)
-    half = len(seen[-1]) // 2
+    last = examples_seen(monkeypatch, [data, data], tmp_path, steps=2, renewed_every=1)[-1]
+    half = len(last) // 2
     recurrent = 0
-    for first, second in zip(seen[-1][:half], seen[-1][half:], strict=True):
+    for first, second in zip(last[:half], last[half:], strict=True):
         assert (first.sequence, first.frames, first.kind) == (
             second.sequence, second.frames, second.kind,
         )  # fmt: skip

@@ -123,10 +123,11 @@ def _write(page: np.ndarray, text: str, place: tuple[int, int]) -> None:
 
 
 def save(path: Path, page: np.ndarray) -> None:
-    """Write a small PNG: enlarged pixels are worth the strongest compression."""
+    """Write a small PNG, and say so: enlarged pixels are worth the strongest compression."""
     coded = cv2.imencode(".png", page[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1]
     with atomic_path(path) as temporary:
         temporary.write_bytes(coded.tobytes())
+    print(path)
 
 
 def pictures(case: Case, model: str) -> tuple[list[tuple[str, np.ndarray]], float]:
@@ -159,7 +160,6 @@ def main(
         rows, exposure = pictures(case, model)
         page = compose(sheet, rows, exposure=exposure, side=side, enlargement=enlargement)
         save(out / f"{sheet.file}.png", page)
-        print(out / f"{sheet.file}.png")
 
 
 if __name__ == "__main__":

@@ -85,16 +85,14 @@ def warping_error(
     reference : (h, w, 3) float32
         Both are exposed for.
     followed
-        Where the pixels of ``image`` were.
+        Where the pixels of ``image`` were, some of which were seen.
 
     Returns
     -------
     float
-        In [0, 1], over the pixels that were seen before; NaN where none was.
+        In [0, 1], over the pixels that were seen before.
     """
     exposure = display_exposure(reference)
     shown, was = (tone_map(picture, exposure).astype(np.float32) for picture in (image, before))
-    if not followed.seen.any():
-        return float("nan")
     change = cv2.absdiff(shown, warped(was, followed.positions)).mean(axis=-1)
     return float(np.mean(change[followed.seen], dtype=np.float64))

@@ -92,8 +92,9 @@ def _measure(
 
 def _followed(frames: Sequence[Frame], count: int) -> list[Followed | None]:
     """Where the pixels of the last frames, which have references, were; None of a first one."""
-    found = [Followed.between(before, frame) for before, frame in pairwise(frames)]
-    return [None, *found][-count:]
+    pairs = pairwise(frames[-count - 1 :])  # not of all: frames may be many, references few
+    found = [Followed.between(before, frame) for before, frame in pairs]
+    return [*([None] * (count - len(found))), *found]
 
 
 def taken_from(

@@ -16,7 +16,9 @@ from stillray.compare.display import display_exposure
 from stillray.errors import InputError
 from stillray_training.contact_sheets import CROPS, compose, read_sheets, save
 from stillray_training.examples import find_sequences
-from stillray_training.upscaling.compare import compared, scene_of
+from stillray_training.upscaling.compare import ENLARGED, compared, scene_of
+
+_ENLARGED = ENLARGED.format("")  # what the name of a method that is enlarged ends in
 
 
 def main(
@@ -38,19 +40,13 @@ def main(
         reference = found.references[-1]
         rows = [
             ("noisy", found.noisy),
-            *((_short(method), images[-1]) for method, images in found.methods.items()),
+            # what fits beside a row
+            *((method.removesuffix(_ENLARGED), last[-1]) for method, last in found.methods.items()),
             ("reference", reference),
         ]
         exposure = display_exposure(reference)
         page = compose(sheet, rows, exposure=exposure, side=side, enlargement=enlargement)
-        path = out / f"{sheet.file}-x2.png"
-        save(path, page)
-        print(path)
-
-
-def _short(method: str) -> str:
-    """What fits beside a row."""
-    return method.removesuffix(" + Lanczos")
+        save(out / f"{sheet.file}-x2.png", page)
 
 
 if __name__ == "__main__":
