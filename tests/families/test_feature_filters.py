@@ -11,9 +11,10 @@ import torch
 
 import stillray
 from stillray.arrays.strips import Strips
-from stillray.families.feature_filters import FeatureFiltersModel
+from stillray.families.feature_filters import FeatureFiltersModel, Remembered, warped
+from stillray.families.feature_reconstruction import Accumulated
 from stillray.families.filter_layout import target_layout
-from stillray.families.target_grid import Grid, dilated
+from stillray.families.target_grid import Grid, dilated, recalled
 from stillray.frame import Frame
 from stillray.model_spec import load
 from stillray.model_spec.network_outputs import network_outputs
@@ -28,8 +29,9 @@ from stillray_training.upscaling import unroll
 BOTH = ["munet-x2", "munet-x1"]
 
 
-def info(name):
+def info(name, **temporal):
     spec = load(name)
+    spec = replace(spec, temporal=replace(spec.temporal, **temporal))
     outputs = tuple(Planes(count, part) for count, part in network_outputs(spec))
     return ModelInfo(
         name=spec.name, family=spec.family, summary="", aliases=(), path=Path("none.onnx"),
@@ -146,11 +148,16 @@ def test_pictures_scale_with_their_light(rng, denoiser):
     )
 
 
-def test_training_sees_what_the_runtime_does(rng, denoiser):
+@pytest.mark.parametrize("most_blur", [0.0, 0.3])
+@pytest.mark.parametrize("name", BOTH)
+def test_training_sees_what_the_runtime_does(rng, name, most_blur):
     """The recurrence in PyTorch on the same frames gives the same pictures, at odd sizes."""
-    spec, network = denoiser.model.spec, denoiser.engine.network
+    model = info(name, most_blur=most_blur)
+    spec, engine = model.spec, Untrained(name)
+    network = engine.network
     given = [frame(rng) for _ in range(4)]
     before, exposure = None, None
+    denoiser = Denoiser(model, threads=1, engine=engine)
     for one in given:
         expected = denoiser.denoise(one)
         own = features.frame_exposure(features.luminance(one.color), spec.transfer)
@@ -208,6 +215,30 @@ def test_a_pixel_takes_the_sample_next_to_it(jitter):
             apart = [2 * (i + 0.5 + far) - (pixel + 0.5) for i in range(count)]
             assert abs(apart[index[pixel]]) == min(map(abs, apart))
             assert offset[pixel] == pytest.approx(apart[index[pixel]], abs=1e-6)
+
+
+@pytest.mark.parametrize("most_blur", [0.0, 0.25, 1.5])
+def test_a_past_is_worth_no_more_samples_than_looks_have_blurred(rng, most_blur):
+    grid = Grid.of((5, 7), 2, 8, None)
+    motion = rng.integers(-4, 5, (5, 7, 2)).astype(np.float32) / 4 + np.float32(0.05)
+    motion[2:4] = 1.5  # three pixels of the picture: nothing is blurred
+    full = [rng.uniform(0, 30, (*grid.shape, 4)).astype(np.float32) for _ in range(4)]
+    before = Remembered(Accumulated(*full[:3]), full[3], 1.0)
+    found = warped(before, grid, motion, most_blur, Strips(1))
+    positions, inside = grid.past_positions(motion, slice(0, grid.full[0]))
+    kept = found.accumulated
+    for image, source in zip((kept.light, kept.albedo, kept.specular), full, strict=False):
+        expected = recalled(source, positions)
+        for y, x in np.ndindex(grid.full):
+            apart = positions[y, x].astype(np.float64) % 1
+            blur = sum(share * (1 - share) for share in apart)
+            if most_blur and blur > 0:
+                expected[y, x, 3] = min(expected[y, x, 3], most_blur / blur)
+            if not inside[y, x]:
+                expected[y, x] = 0
+        np.testing.assert_allclose(image, expected, rtol=1e-5)
+    assert kept.light[5, 3, 3] == pytest.approx(full[0][8, 6, 3])
+    np.testing.assert_array_equal(found.output[inside], recalled(full[3], positions)[inside])
 
 
 def test_past_positions_are_those_of_the_picture():

@@ -31,6 +31,7 @@ from stillray.stages import features
 from stillray.stages.accumulate import bounded
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.repair import Buffers, all_within, repair_feature
+from stillray.stages.reproject import bound_blur
 from stillray.timing import timed
 
 #: Frames that a frame's history is taken to go back.
@@ -123,6 +124,7 @@ class FeatureFiltersModel:
             filters=spec.decoder,
             demodulate=spec.demodulate,
             max_samples=spec.temporal.max_samples,
+            most_blur=spec.temporal.most_blur,
         )
         self.cost = feature_filters_cost(spec.network.resolutions, spec.decoder)
         self.traits = Traits(
@@ -239,7 +241,7 @@ class FeatureFiltersModel:
         if plan.past is not None and buffers.motion is not None:
             with timed(timings, "warp"):
                 motion = dilated(buffers.motion, buffers.depth, strips)
-                past = warped(plan.past, grid, motion, strips)
+                past = warped(plan.past, grid, motion, self.rules.most_blur, strips)
         return _Seen(grid, frame, surfaces, past, exposure)
 
     def _exposed(self, plan: UpscalePlan, context: Context) -> tuple[float, np.ndarray]:
@@ -307,7 +309,9 @@ def _past_of(
     return found, ""
 
 
-def warped(before: Remembered, grid: Grid, motion: np.ndarray, strips: Strips) -> Past:
+def warped(
+    before: Remembered, grid: Grid, motion: np.ndarray, most_blur: float, strips: Strips
+) -> Past:
     """What is remembered, at the pixels of a grid; without samples where it lay outside.
 
     Parameters
@@ -318,6 +322,8 @@ def warped(before: Remembered, grid: Grid, motion: np.ndarray, strips: Strips) -
         Of this frame.
     motion : (h, w, 2) float32
         See `stillray.families.target_grid.dilated`.
+    most_blur
+        See `Rules`.
     strips
         Where the work runs.
     """
@@ -330,6 +336,9 @@ def warped(before: Remembered, grid: Grid, motion: np.ndarray, strips: Strips) -
         for source, image in zip(remembered, images, strict=True):
             image[rows] = recalled(source, positions)
             image[rows][~inside] = 0
+        if most_blur:
+            for image in images[:3]:
+                bound_blur(image[rows], positions, most_blur, strips.workspace)
 
     strips.run(work, *grid.full, pixels=STRIP_PIXELS // 2)
     return Past(Accumulated(*images[:3]), images[3])

@@ -101,11 +101,15 @@ class Rules:
         What light is divided by.
     max_samples
         That a mean is worth at most.
+    most_blur
+        Square pixels of the picture that a past may be blurred by looking between its pixels, see
+        `stillray.stages.reproject.bound_blur`; 0: by any number.
     """
 
     filters: FeatureFilters
     demodulate: Demodulate
     max_samples: float
+    most_blur: float = 0.0
 
 
 def reconstruct(

@@ -256,14 +256,24 @@ def reproject(
         )
         pixels_of(taken)[at] = pixels_of(listed)
     if options.most_blur:
-        _bound_blur(taken, positions, options.most_blur, workspace)
+        bound_blur(taken, positions, options.most_blur, workspace)
     return taken
 
 
-def _bound_blur(
-    taken: np.ndarray, positions: np.ndarray, most: float, workspace: Workspace
-) -> None:
-    """Bound samples of ``taken``, ``(h, w, 4)``, by what looking between pixels blurs."""
+def bound_blur(taken: np.ndarray, positions: np.ndarray, most: float, workspace: Workspace) -> None:
+    """Bound samples of ``taken``, ``(h, w, 4)``, by what looking between pixels blurs.
+
+    Parameters
+    ----------
+    taken : (h, w, 4) float32
+        What was looked up; its last channel, the samples that it is worth, is bounded in place.
+    positions : (h, w, 2) float32
+        Where, x and y in pixels.
+    most
+        Square pixels, see `reproject`.
+    workspace
+        For what lies between.
+    """
     share = np.floor(positions, out=workspace.array("corner", positions.shape))
     np.subtract(positions, share, out=share)
     share -= np.square(share, out=workspace.array("squared share", share.shape))

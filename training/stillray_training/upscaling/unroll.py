@@ -10,6 +10,7 @@ from torch.nn import functional as F
 
 from stillray.families.feature_reconstruction import Rules
 from stillray.families.target_planes import FARTHEST, MOST_LIGHT, MU, PERIODS
+from stillray.stages.reproject import LEAST_BLUR
 from stillray_training.decoders.feature_filters import Enlarged, Remembered, reconstruct
 
 
@@ -50,6 +51,12 @@ def step(
         images = (before.light, before.albedo, before.specular, before.output)
         moved = warped(torch.cat(images, 1), frame["positions"]) * frame["inside"]
         past = Remembered(*moved.split(4, 1))
+        if rules.most_blur:
+            most = rules.most_blur / look_blur(frame["positions"])
+            past = Remembered(
+                *(_at_most(image, most) for image in (past.light, past.albedo, past.specular)),
+                past.output,
+            )
     planes = network_planes(frame, past, names)
     outputs = network(planes)
     given = Enlarged(frame["color"], frame["albedo"], frame["specular"])
@@ -65,6 +72,20 @@ def warped(images: Tensor, positions: Tensor) -> Tensor:
     most = positions.new_tensor([max(width - 1, 1), max(height - 1, 1)])
     at = positions * (2 / most) - 1
     return F.grid_sample(images, at, mode="bilinear", padding_mode="border", align_corners=True)
+
+
+def look_blur(positions: Tensor) -> Tensor:
+    """Square pixels by which a look at positions ``(n, h, w, 2)`` blurs, ``(n, 1, h, w)``.
+
+    See `stillray.stages.reproject.bound_blur`.
+    """
+    share = positions - positions.floor()
+    return (share * (1 - share)).sum(-1).clamp(min=LEAST_BLUR)[:, None]
+
+
+def _at_most(image: Tensor, most: Tensor) -> Tensor:
+    """An image whose last channel, its samples, is bounded."""
+    return torch.cat([image[:, :3], torch.minimum(image[:, 3:], most)], 1)
 
 
 def log_depth(depth: Tensor) -> Tensor:
