@@ -7,6 +7,7 @@ import functools
 import json
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -31,6 +32,7 @@ from stillray_training.upscaling import (  # noqa: E402
     contact_sheets,
     loop,
     price_list,
+    time_in_turn,
     unroll,
 )
 from stillray_training.upscaling.clips import ClipSampler, load_clip  # noqa: E402
@@ -299,6 +301,29 @@ def test_methods_are_timed_in_turn_and_the_first_round_is_left_out():
     times = times_in_turn(methods, 0.0)
     assert seen == [(turn, name) for turn in range(4) for name in "ab"]
     assert {name: len(values) for name, values in times.items()} == {"a": 3, "b": 3}
+
+
+def test_ratios_are_medians_over_the_rounds():
+    times = {"ours": [10.0, 40.0, 100.0], "peer": [20.0, 40.0, 400.0]}
+    _, _, ours, peer = time_in_turn.table(times, ["peer"])
+    assert ours == "| ours | 40 | 0.50 |"  # the medians' ratio would be 1
+    assert peer == "| peer | 40 | 1.00 |"
+
+
+def test_times_and_rooflines_go_into_a_report(tmp_path):
+    report = tmp_path / "times.md"
+    frames = str(Path(__file__).parents[1] / "data" / "room" / "frame_####.exr")
+    time_in_turn.main(frames, frames, "munet-x2", height=48, width=64, seconds=0.0, report=report)
+    text = report.read_text()
+    for row in ("| munet-x2 |", "| kpyr-5 |", "| OIDN fast |"):
+        assert row in text
+    network = next(line for line in text.splitlines() if line.startswith("| network |"))
+    milliseconds, roofline, ratio = map(float, network.split("|")[2:5])
+    assert ratio == pytest.approx(milliseconds / roofline, rel=0.5)
+    assert "munet-x2 is given 32x24 pixels" in text
+    assert "Peak memory" in text
+    with pytest.raises(InputError, match="must be multiples of 2, got 47x64"):
+        time_in_turn.main(frames, frames, "munet-x2", height=47, width=64)
 
 
 def test_a_price_is_of_the_way_that_made_the_picture():

@@ -1,27 +1,31 @@
 """``python -m stillray_training.upscaling.time_in_turn HALF FULL --model munet-x2``.
 
 How long a model that doubles takes beside methods that are given all pixels: in turn in one
-process, round after round. Every stage counts, from the renderer's buffers to the picture.
+process, round after round. Every stage counts, from the renderer's buffers to the picture. Then the
+model alone, stage by stage, beside the least that the machine would take.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from stillray.arrays.strips import available_threads
 from stillray.cli import program
 from stillray.errors import InputError
+from stillray.io.exr.read_write import atomic_path
 from stillray.pipeline.denoiser import Denoiser
 from stillray.profiling.clip import Clip, open_clip
-from stillray_training.benchmark import run_peer
+from stillray.profiling.machine import describe
+from stillray.profiling.measure import Setting
+from stillray.profiling.results import Result, profile_settings
+from stillray_training.benchmark import run_peer, stages_table
 from stillray_training.peers import OIDN_QUALITIES
 
 _LEAST_ROUNDS = 3
@@ -64,6 +68,57 @@ def ours(denoiser: Denoiser, clip: Clip) -> Callable[[int], object]:
     return run
 
 
+def table(times: Mapping[str, list[float]], peers: Sequence[str]) -> list[str]:
+    """A row a method: median milliseconds, and medians over the rounds of its ratios to peers."""
+    lines = [
+        "| method | median ms | " + " | ".join(f"/ {name}" for name in peers) + " |",
+        "|---" * (2 + len(peers)) + "|",
+    ]
+    for name, values in times.items():
+        # round by round: a machine whose speed drifts slows both
+        ratios = [np.median(np.array(values) / np.array(times[peer])) for peer in peers]
+        cells = [name, f"{np.median(values):.0f}", *(f"{ratio:.2f}" for ratio in ratios)]
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
+def page(
+    times: Mapping[str, list[float]], peers: Sequence[str], result: Result, command: str
+) -> str:
+    """The figures as Markdown: all methods in turn, and the stages of the one that doubles."""
+    setting, peaks = result.run.setting, result.peaks
+    rounds = len(next(iter(times.values())))
+    lines = [
+        "# Time of denoising and doubling",
+        "",
+        f"Written by `{command}`.",
+        "",
+        ", ".join(f"{name} {value}" for name, value in describe().items())
+        + f"; matrix product {peaks.operations / 1e9:.0f} GFLOP/s, copy "
+        f"{peaks.bandwidth / 1e9:.1f} GB/s. {result.run.info.name} is given "
+        f"{setting.width}x{setting.height} pixels and the others all pixels of the picture, "
+        f"{rounds} rounds, in turn in one process, all stages but the files included; ratios are "
+        "medians over the rounds.",
+        "",
+        *table(times, peers),
+        "",
+        "## Stages",
+        "",
+        "Median milliseconds of each stage, after these rounds. The roofline is the slower of its "
+        "operations at the matrix product's rate and its bytes at the copy's, each plane moved "
+        "once.",
+        "",
+        *stages_table([result]),
+    ]
+    if result.memory is not None:
+        lines += [
+            "",
+            f"Peak memory of a process with it alone: {result.memory.peak:.0f} MiB, of which "
+            f"{result.memory.net:.0f} over the buffers and the libraries.",
+        ]
+    return "\n".join(lines) + "\n"
+
+
 def main(
     half: Annotated[str, typer.Argument(help="Frames that are doubled: a pattern of files.")],
     full: Annotated[str, typer.Argument(help="Frames of the picture's size: a pattern of files.")],
@@ -72,29 +127,31 @@ def main(
     height: Annotated[int, typer.Option(help="Of the picture, pixels; frames are tiled.")] = 720,
     width: Annotated[int, typer.Option(help="Of the picture, pixels.")] = 1280,
     seconds: Annotated[float, typer.Option(help="How long to measure.")] = 60.0,
+    report: Annotated[Path | None, typer.Option(help="Write the figures as Markdown.")] = None,
 ) -> None:
-    """Print median milliseconds a frame, and ratios to Open Image Denoise, round by round."""
+    """Print median milliseconds a frame, ratios to Open Image Denoise, and rooflines of stages."""
     threads = available_threads()
     peers = [f"OIDN {quality}" for quality in OIDN_QUALITIES]
     with Denoiser(model, threads=threads) as doubling, Denoiser(flagship, threads=threads) as plain:
         scale = doubling.scale
         if height % scale or width % scale:
             raise InputError(f"height and width must be multiples of {scale}, got {height}x{width}")
+        smaller = (height // scale, width // scale)
         all_pixels = open_clip(full, (height, width))
         methods: dict[str, Callable[[int], object]] = {
-            doubling.model.name: ours(doubling, open_clip(half, (height // scale, width // scale))),
+            doubling.model.name: ours(doubling, open_clip(half, smaller)),
             plain.model.name: ours(plain, all_pixels),
             **{name: partial(run_peer, name, all_pixels) for name in peers},
         }
         times = times_in_turn(methods, seconds)
-    rounds = len(times[doubling.model.name])
-    table = Table(title=f"{width}x{height}, {threads} threads, {rounds} rounds in turn")
-    for title in ("method", "median ms", *(f"/ {name}" for name in peers)):
-        table.add_column(title)
-    for name, values in times.items():
-        ratios = [np.median(np.array(values) / np.array(times[other])) for other in peers]
-        table.add_row(name, f"{np.median(values):.0f}", *(f"{ratio:.2f}" for ratio in ratios))
-    Console().print(table)
+    setting = Setting(model=model, height=smaller[0], width=smaller[1], threads=threads)
+    (result,) = profile_settings([setting], source=half, seconds=seconds / 4, memory=True)
+    command = f"python -m stillray_training.upscaling.time_in_turn HALF FULL --model {model}"
+    text = page(times, peers, result, command)
+    print(text)
+    if report is not None:
+        with atomic_path(report) as temporary:
+            temporary.write_text(text)
 
 
 if __name__ == "__main__":

@@ -53,10 +53,10 @@ def step(
         past = Remembered(*moved.split(4, 1))
         if rules.most_blur:
             most = rules.most_blur / look_blur(frame["positions"])
-            past = Remembered(
-                *(_at_most(image, most) for image in (past.light, past.albedo, past.specular)),
-                past.output,
+            light, albedo, specular = (
+                _at_most(image, most) for image in (past.light, past.albedo, past.specular)
             )
+            past = Remembered(light, albedo, specular, past.output)
     planes = network_planes(frame, past, names)
     outputs = network(planes)
     given = Enlarged(frame["color"], frame["albedo"], frame["specular"])
