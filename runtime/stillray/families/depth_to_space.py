@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 
+import cv2
 import numpy as np
 
 from stillray.arrays.strips import Strips
@@ -63,7 +64,8 @@ class DepthToSpace:
         blocks = self._blocks[part, ..., top // 2 : -(-bottom // 2), :]
         count, _, _, height, width = blocks.shape
         whole = self._strips.workspace.array(name, (count, height, 2, width, 2))
-        for line, column in np.ndindex(2, 2):
-            whole[:, :, line, :, column] = blocks[:, line, column]
+        for plane, of_plane in zip(whole, blocks, strict=True):
+            for line, pair in enumerate(of_plane):
+                cv2.merge(list(pair), dst=plane[:, line])
         lines: np.ndarray = whole.reshape(count, 2 * height, 2 * width)
         return lines[:, top % 2 : top % 2 + bottom - top, : self.shape[2]]

@@ -30,13 +30,12 @@ import numpy as np
 
 from stillray.arrays.bounds import at_most
 from stillray.arrays.resample import halve
-from stillray.arrays.strips import STRIP_PIXELS, Strips, planes_of, with_halo
-from stillray.arrays.workspace import Workspace
+from stillray.arrays.strips import STRIP_PIXELS, Strips, interleave, planes_of, with_halo
 from stillray.families.depth_to_space import DepthToSpace
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
 from stillray.families.gaussian import Weights, framed, gaussian, measured
 from stillray.model_spec.loader import Demodulate, FeatureFilters
-from stillray.stages.demodulate import demodulation_albedo
+from stillray.stages.demodulate import demodulation_planes
 
 _PLANES = 9  # light over diffuse albedo, over specular albedo, and as it is
 
@@ -171,6 +170,9 @@ class _Reconstruction:
         ]
         # this frame's light, filtered; what a frame leaves nothing of lies in the workspace
         self._enlarged = strips.workspace.array("enlarged light", (3, *self._size))
+        self._light = strips.workspace.array("accumulated light", (4, *self._size))
+        # by accumulated albedo and specular albedo
+        self._divisors = strips.workspace.array("divisors", (6, *self._size))
         self._kept = Accumulated(*(np.empty((*self._size, 4), np.float32) for _ in range(3)))
 
     def run(self) -> tuple[np.ndarray, Accumulated]:
@@ -239,7 +241,7 @@ class _Reconstruction:
             gaussian(values, weights, out, workspace, distance)
             finish(rows, out)
 
-        strips.run(work, height, width, pixels=STRIP_PIXELS // 2)
+        strips.run(work, height, width)
 
     def _fill_color(self, rows: slice, out: np.ndarray) -> None:
         out[:] = self._frame.color[rows].transpose(2, 0, 1)
@@ -251,46 +253,51 @@ class _Reconstruction:
     def _accumulate_light(self, rows: slice, planes: np.ndarray) -> None:
         self._enlarged[:, rows] = planes
         past = None if self._past is None else self._past.accumulated.light
-        self._accumulate(rows, 0, planes, past, self._kept.light)
+        self._accumulate(rows, 0, planes, past, self._light[:, rows])
+        interleave(self._light[:, rows], out=self._kept.light[rows])
 
     def _accumulate_guides(self, rows: slice, planes: np.ndarray) -> None:
         past = None if self._past is None else self._past.accumulated
         diffuse, specular = (None, None) if past is None else (past.albedo, past.specular)
-        self._accumulate(rows, 1, planes[:3], diffuse, self._kept.albedo)
-        self._accumulate(rows, 2, planes[3:], specular, self._kept.specular)
+        albedos, workspace = (self._kept.albedo, self._kept.specular), self._strips.workspace
+        for index, (before, kept) in enumerate(zip((diffuse, specular), albedos, strict=True)):
+            part = slice(3 * index, 3 * index + 3)
+            albedo = workspace.array("accumulated albedo", (4, *planes.shape[1:]))
+            self._accumulate(rows, 1 + index, planes[part], before, albedo)
+            interleave(albedo, out=kept[rows])
+            divisors, options = self._divisors[part, rows], self._rules.demodulate
+            demodulation_planes(albedo[:3], options, divisors, workspace)
 
     def _accumulate(
-        self, rows: slice, index: int, new: np.ndarray, past: np.ndarray | None, kept: np.ndarray
+        self, rows: slice, index: int, new: np.ndarray, past: np.ndarray | None, out: np.ndarray
     ) -> None:
-        """The mean of the past and of rows ``(3, rows, w)`` of this frame, into ``kept``."""
-        target = kept[rows]
+        """The mean of the past and of rows ``(3, rows, w)`` of this frame: ``(4, rows, w)``."""
         if past is None:
-            target[..., :3] = new.transpose(1, 2, 0)
-            target[..., 3] = 1
+            out[:3] = new
+            out[3] = 1
             return
-        factor = cv2.exp(self._bounded(self._maps[0][self._layout.keep.start + index, rows]))
-        held = factor * past[rows, :, 3]  # what the past weighs against this frame
+        logits = self._bounded(self._maps[0][self._layout.keep.start + index, rows])
+        factor = cv2.exp(logits, dst=logits)
+        before = planes_of(past[rows], out=self._strips.workspace.array("before", out.shape))
+        held = np.multiply(factor, before[3], out=before[3])  # what it weighs against this frame
         total = held + 1
-        np.divide(total * total, held * factor + 1, out=target[..., 3])
-        at_most(target[..., 3], self._rules.max_samples, out=target[..., 3])
-        before = planes_of(past[rows])
-        for channel in range(3):
+        np.multiply(total, total, out=out[3])
+        factor *= held
+        factor += 1
+        out[3] /= factor
+        at_most(out[3], self._rules.max_samples, out=out[3])
+        for mean, was, now in zip(out[:3], before, new, strict=False):
             # two products, since a difference would cancel where a firefly meets a dark past
-            target[..., channel] = (held * before[channel] + new[channel]) / total
+            np.multiply(held, was, out=mean)
+            mean += now
+            mean /= total
 
     def _light_planes(self, rows: slice, out: np.ndarray) -> None:
         """Accumulated light over diffuse albedo, over specular albedo, and as it is."""
-        workspace = self._strips.workspace
-        light = planes_of(self._kept.light[rows])[:3]
+        light = self._light[:3, rows]
+        np.divide(light, self._divisors[:3, rows], out=out[:3])
+        np.divide(light, self._divisors[3:, rows], out=out[3:6])
         out[6:] = light
-        for index, albedo in enumerate((self._kept.albedo, self._kept.specular)):
-            by = self._divisor(albedo[rows], workspace)
-            np.divide(light, by, out=out[3 * index : 3 * index + 3])
-
-    def _divisor(self, albedo: np.ndarray, workspace: Workspace) -> np.ndarray:
-        """What light is divided by, ``(3, rows, w)``, of an accumulated albedo."""
-        plain = np.ascontiguousarray(albedo[..., :3])
-        return planes_of(demodulation_albedo(plain, self._rules.demodulate, workspace=workspace))
 
     def _pooled(self) -> list[np.ndarray]:
         """Light planes of the coarser levels, ``(9, h, w)``: weighted means of what they are given.
@@ -311,7 +318,7 @@ class _Reconstruction:
                 "light planes", (_PLANES, fine.stop - fine.start, 2 * width)
             )
             self._light_planes(fine, planes)
-            held = np.ascontiguousarray(self._kept.light[fine, :, 3])
+            held = self._light[3, fine]
             shares = _shares(self._bounded(self._maps[0][self._layout.partition, fine]))
             for level, share in zip(sums, shares[1:], strict=True):
                 share *= held
@@ -319,7 +326,7 @@ class _Reconstruction:
                 for plane, target in zip(planes, level, strict=False):
                     target[rows] = halve(plane * share)
 
-        self._strips.run(work, height, width, pixels=STRIP_PIXELS // 8)
+        self._strips.run(work, height, width, pixels=STRIP_PIXELS // 4)
         return [self._means(level, steps) for steps, level in enumerate(sums)]
 
     def _means(self, sums: np.ndarray, steps: int) -> np.ndarray:
@@ -333,7 +340,7 @@ class _Reconstruction:
                 level = np.stack([halve(plane) for plane in level])
             np.divide(level[:_PLANES], level[_PLANES], out=means[:, rows])
 
-        self._strips.run(work, height, width, pixels=max(STRIP_PIXELS >> 2 + 2 * steps, 1))
+        self._strips.run(work, height, width, pixels=max(STRIP_PIXELS >> 2 * steps, 1))
         return means
 
     def _denoised(
@@ -358,35 +365,41 @@ class _Reconstruction:
 
     def _mix(self, level: int, logit: int, below: np.ndarray, rows: slice, out: np.ndarray) -> None:
         """Mix rows of a level with the next coarser one, of twice its size."""
-        logits = self._bounded(self._maps[level][logit, rows])
-        out *= _sigmoid(-logits)
-        share = _sigmoid(logits)
+        share, rest = _sigmoids(self._bounded(self._maps[level][logit, rows]))
         first = rows.start // 2
-        for plane, target in zip(below[:, first : -(-rows.stop // 2)], out, strict=True):
-            twice = np.repeat(np.repeat(plane, 2, axis=0), 2, axis=1)
-            target += share * twice[rows.start - 2 * first :][: len(share)]
+        source = below[:, first : -(-rows.stop // 2)]
+        height, width = (2 * size for size in source.shape[1:])
+        twice = self._strips.workspace.array("twice", (height, width))
+        inside = twice[rows.start - 2 * first :][: len(share)]
+        for plane, target in zip(source, out, strict=True):
+            cv2.resize(plane, (width, height), dst=twice, interpolation=cv2.INTER_NEAREST)
+            target *= rest
+            cv2.accumulateProduct(inside, share, target)
 
     def _compose(self, rows: slice, planes: np.ndarray, image: np.ndarray) -> None:
         """Multiply by albedos, compose, and mix with the last output."""
         workspace, maps = self._strips.workspace, self._maps[0]
-        shares = _shares(self._bounded(maps[self._layout.compose, rows]))
-        plain, diffuse, specular, alone = shares
-        by = self._divisor(self._kept.albedo[rows], workspace)
-        by_specular = self._divisor(self._kept.specular[rows], workspace)
-        keep: np.ndarray | None = None
+        plain, *by_albedo, alone = _shares(self._bounded(maps[self._layout.compose, rows]))
+        light = workspace.array("composed", (3, *planes.shape[1:]))
+        np.multiply(planes[6:], plain, out=light)
+        for part, share in zip((slice(0, 3), slice(3, 6)), by_albedo, strict=True):
+            divisors = self._divisors[part, rows]
+            for plane, divisor, total in zip(planes[part], divisors, light, strict=True):
+                plane *= share
+                cv2.accumulateProduct(plane, divisor, total)
+        for plane, total in zip(self._enlarged[:, rows], light, strict=True):
+            cv2.accumulateProduct(plane, alone, total)
         if self._past is not None:
-            logits = self._bounded(maps[self._layout.output, rows])
+            keep, leave = _sigmoids(self._bounded(maps[self._layout.output, rows]))
             unknown = self._past.accumulated.light[rows, :, 3] <= 0
-            keep, leave = _sigmoid(logits), _sigmoid(-logits)
             keep[unknown], leave[unknown] = 0, 1
-        for channel in range(3):
-            light = diffuse * planes[channel] * by[channel]
-            light += specular * planes[3 + channel] * by_specular[channel]
-            light += plain * planes[6 + channel]
-            light += alone * self._enlarged[channel, rows]
-            if keep is not None and self._past is not None:
-                light = light * leave + keep * self._past.output[rows, :, channel]
-            image[..., channel] = light
+            light *= leave
+            output = planes_of(
+                self._past.output[rows], out=workspace.array("before", (4, *keep.shape))
+            )
+            for plane, total in zip(output, light, strict=False):
+                cv2.accumulateProduct(plane, keep, total)
+        interleave(light, out=image)
 
 
 def _shares(logits: np.ndarray) -> np.ndarray:
@@ -396,6 +409,9 @@ def _shares(logits: np.ndarray) -> np.ndarray:
     return weights
 
 
-def _sigmoid(logits: np.ndarray) -> np.ndarray:
-    result: np.ndarray = 1 / (1 + np.exp(-logits))
-    return result
+def _sigmoids(logits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sigmoids of bounded logits, and of minus these; what is given is written over."""
+    odds = cv2.exp(logits, dst=logits)
+    rest: np.ndarray = np.reciprocal(odds + 1)
+    odds *= rest
+    return odds, rest

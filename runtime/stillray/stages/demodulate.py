@@ -55,3 +55,22 @@ def demodulation_albedo(
     if options.specular:
         raised += np.float32(options.specular)
     return raised
+
+
+def demodulation_planes(
+    albedo: np.ndarray, options: Demodulate, out: np.ndarray, workspace: Workspace
+) -> np.ndarray:
+    """`demodulation_albedo` of planes: ``(3, h, w)`` float32 into ``out`` of that shape."""
+    np.clip(albedo, np.float32(options.floor), np.float32(1), out=out)
+    largest = workspace.array("largest", albedo.shape[1:])
+    cv2.max(albedo[0], albedo[1], dst=largest)
+    cv2.max(largest, albedo[2], dst=largest)
+    if largest.min() <= options.black:
+        black = cv2.inRange(largest, -1.0, options.black)
+        ones = workspace.array("ones", largest.shape)
+        ones.fill(1)
+        for plane in out:
+            cv2.copyTo(ones, black, plane)
+    if options.specular:
+        out += np.float32(options.specular)
+    return out
