@@ -10,6 +10,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from stillray.arrays.workspace import Workspace  # noqa: E402
+from stillray.families.network_input import in_steps  # noqa: E402
 from stillray.models.precision import chosen, int8_path  # noqa: E402
 from stillray.models.registry import SPEC_KEY, find_model  # noqa: E402
 from stillray.models.session import open_session, read_checked  # noqa: E402
@@ -30,9 +32,12 @@ def test_integers_compute_what_floats_do_and_know_their_file(tmp_path, rng):
     assert interface.outputs == model.interface.outputs
     assert json.loads(file.metadata[SPEC_KEY])["name"] == "wskp-3s"
     assert file.graph.tensors["network.blocks.0.0.weight_quantized"].dtype == np.int8
+    assert interface.steps is not None
+    pixels = np.empty((32, 48, interface.features), np.uint8)
+    in_steps(features[0][0], interface.steps, pixels, Workspace())
     of_floats, of_integers = (
-        open_session(path, threads=1).run(None, {"features": features[0]})[0]
-        for path in (copied, integers)
+        open_session(path, threads=1).run(None, {"features": given})[0]
+        for path, given in ((copied, features[0]), (integers, pixels[None]))
     )
     step = np.ptp(of_floats) / 255
     assert 0 < np.abs(of_integers - of_floats).mean() < 3 * step

@@ -157,7 +157,7 @@ def test_what_progress_raises_comes_out_and_the_denoiser_goes_on():
 def test_a_network_that_nobody_wants_any_more_is_not_waited_for(monkeypatch):
     entered, release = threading.Event(), threading.Event()
     frame = make_frame(*SHAPE)
-    opened = session.open_session
+    opened = session.start_session
 
     class Slow:
         def __init__(self, *arguments, **options):
@@ -169,7 +169,7 @@ def test_a_network_that_nobody_wants_any_more_is_not_waited_for(monkeypatch):
             assert release.wait(60)
             return self.session.run(*arguments)
 
-    monkeypatch.setattr(session, "open_session", Slow)
+    monkeypatch.setattr(session, "start_session", Slow)
     with stillray.Denoiser("fast", threads=1) as denoiser:
         try:
             with pytest.raises(stillray.Cancelled):

@@ -23,6 +23,7 @@ from stillray.families.feature_reconstruction import (
     Rules,
     reconstruct,
 )
+from stillray.families.network_input import NetworkInput
 from stillray.families.target_grid import Grid, dilated, recalled
 from stillray.families.target_planes import Known, Surfaces, fill_planes, log_depth
 from stillray.frame import Frame
@@ -265,9 +266,10 @@ class FeatureFiltersModel:
         return exposure, color
 
     def _encode(self, seen: _Seen, context: Context) -> np.ndarray:
-        """The network's input, ``(1, planes, H, W)``."""
+        """The network's input, see `NetworkInput`."""
         names, full = self.spec.network.features, seen.grid.full
-        planes = context.workspace.array("planes", (1, len(names), *full))
+        assert context.engine is not None
+        found = NetworkInput(context.engine, len(names), full, context.workspace, context.strips)
         nothing = np.zeros((*full, 4), np.float32)
         empty = Past(Accumulated(nothing, nothing, nothing), nothing)
 
@@ -282,11 +284,11 @@ class FeatureFiltersModel:
         )
 
         def work(rows: slice) -> None:
-            fill_planes(names, planes[0, :, rows], known.of_rows(rows))
+            found.fill(rows, full[1], lambda out: fill_planes(names, out, known.of_rows(rows)))
 
         with timed(context.timings, "encode"):
             context.strips.run(work, *full)
-        return planes
+        return found.array
 
 
 def _past_of(

@@ -9,16 +9,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from stillray.arrays.extend import mirrored
 from stillray.arrays.strips import STRIP_PIXELS, Strips
 from stillray.arrays.tiles import Tile
 from stillray.arrays.watch import Watch
 from stillray.families.contract import Context, Request, State, Step, Traits
 from stillray.families.layer_filter import FilteredLayers
+from stillray.families.network_input import NetworkInput
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
 from stillray.stages import features, previous_output
@@ -237,17 +238,18 @@ class TemporalKernels(ABC):
     def _encode(
         self, prepared: Prepared, previous: np.ndarray | None, context: Context
     ) -> np.ndarray:
-        """The network's input, ``(1, features, H, W)``, of a size that it takes."""
+        """The network's input, of a size that it takes, see `NetworkInput`."""
         height, width = prepared.luminance.shape
         multiple, names = self.looks.alignment, self.spec.network.features
         full = (-(-height // multiple) * multiple, -(-width // multiple) * multiple)
-        planes = context.workspace.array("features", (1, len(names), *full))
+        assert context.engine is not None
+        found = NetworkInput(context.engine, len(names), full, context.workspace, context.strips)
         exposure, remodulation = prepared.history.exposure, prepared.remodulation_albedo
         albedo, normal, depth = prepared.albedo, prepared.normal, prepared.depth
         by = prepared.demodulation_albedo
 
-        def pack(rows: slice) -> None:
-            target, workspace = planes[0, :, rows, :width], context.strips.workspace
+        def fill(rows: slice, target: np.ndarray) -> None:
+            workspace = context.strips.workspace
             given = features.FeatureInputs(
                 mean=prepared.history.mean[rows],
                 local=prepared.local[rows],
@@ -273,15 +275,14 @@ class TemporalKernels(ABC):
                 workspace=workspace,
             )
 
+        def pack(rows: slice) -> None:
+            found.fill(rows, width, partial(fill, rows))
+
         with timed(context.timings, "encode"):
             # many planes: half of a strip, so that a frame that is cancelled ends soon
             context.strips.run(pack, height, width, pixels=STRIP_PIXELS // 2)
-            # to a multiple, as the light is that the outputs are for
-            for at, place in enumerate(mirrored(width, full[1])[width:], start=width):
-                planes[..., :height, at] = planes[..., :height, place]
-            for at, place in enumerate(mirrored(height, full[0])[height:], start=height):
-                planes[..., at, :] = planes[..., place, :]
-        return planes
+            found.mirror(height, width)
+        return found.array
 
     def _remember(
         self,

@@ -23,6 +23,7 @@ MAX_MULTIPLICATIONS = 4_000_000
 _MAX_KERNEL = 31  # pixels
 _MAX_REDUCTION = 256
 _RANK = 4  # axes: frame, plane, row, column
+_AS_PLANES = "planes, height, width"
 
 
 class GraphError(ValueError):
@@ -37,6 +38,22 @@ class Planes:
     reduction: int
 
 
+@dataclass(frozen=True)
+class Steps:
+    """Numbers as integers of 8 bits: ``scale (integer - zero)``, rounded to the nearest, bounded.
+
+    Attributes
+    ----------
+    scale
+        Of one step, > 0.
+    zero
+        The integer that stands for 0, 0 to 255.
+    """
+
+    scale: float
+    zero: int
+
+
 @dataclass(frozen=True, kw_only=True)
 class Interface:
     """What a network takes and gives.
@@ -45,6 +62,9 @@ class Interface:
     ----------
     features
         Planes of its input.
+    steps
+        None where the input is planes, ``(1, features, h, w)`` float32; else it is pixels,
+        ``(1, h, w, features)`` uint8, each plane in steps of its own.
     outputs
         In the order in which they are given.
     multiplications
@@ -58,6 +78,7 @@ class Interface:
     outputs: tuple[Planes, ...]
     multiplications: float
     weights: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    steps: tuple[Steps, ...] | None = None
 
 
 def interface_of(graph: Graph) -> Interface:
@@ -69,7 +90,9 @@ def interface_of(graph: Graph) -> Interface:
         It holds an operator, or a use of one, that no export of stillray writes, or is too large.
     """
     features, weights = _features(graph), _weights(graph)
-    known, tensors = {"features": Planes(features, 1)}, dict(graph.tensors)
+    tensors = dict(graph.tensors)
+    pixels = _Pixels(features) if graph.inputs[0].integers else None
+    known = {} if pixels else {"features": Planes(features, 1)}
     work = 0.0
     for node in graph.nodes:
         rule = OPERATORS.get(node.operator)
@@ -77,8 +100,13 @@ def interface_of(graph: Graph) -> Interface:
             raise GraphError(
                 f"operators must be among {', '.join(OPERATORS)}, got {node.operator or 'none'}"
             )
-        if len(node.outputs) != 1 or node.outputs[0] in known or node.outputs[0] in tensors:
+        names = known.keys() | tensors.keys() | (pixels.names() if pixels else set())
+        if len(node.outputs) != 1 or node.outputs[0] in names or node.outputs[0] == "features":
             raise GraphError(f"{node.operator} must give one tensor with a name of its own")
+        if pixels and pixels.takes(node):
+            if found := pixels.take(node, tensors):
+                known[node.outputs[0]] = found
+            continue
         inputs = _Inputs(node, known, tensors)
         if node.operator == _DEQUANTIZE and node.inputs and node.inputs[0] in tensors:
             tensors[node.outputs[0]] = _dequantized(node, inputs)
@@ -99,6 +127,7 @@ def interface_of(graph: Graph) -> Interface:
         outputs=tuple(known[name] for name in graph.outputs),
         multiplications=work,
         weights=weights,
+        steps=pixels.steps() if pixels else None,
     )
 
 
@@ -109,17 +138,79 @@ def _features(graph: Graph) -> int:
         names = ", ".join(others[:8])
         raise GraphError(f"the one input must be features, got {names or 'none'}")
     shape = graph.inputs[0].shape
-    if len(shape) != _RANK or shape[0] != 1 or shape[2:] != (None, None):
-        raise GraphError(f"features must have shape (1, planes, height, width), got {shape}")
-    planes = shape[1]
+    axis, wanted = (3, "height, width, planes") if graph.inputs[0].integers else (1, _AS_PLANES)
+    free = [place for place in (1, 2, 3) if place != axis]
+    if len(shape) != _RANK or shape[0] != 1 or any(shape[place] is not None for place in free):
+        raise GraphError(f"features must have shape (1, {wanted}), got {shape}")
+    planes = shape[axis]
     if planes is None or not 1 <= planes <= MAX_PLANES:
         raise GraphError(f"features must have 1 to {MAX_PLANES} planes, got {planes}")
     return planes
 
 
+class _Pixels:
+    """Integers that stand for the input's planes, on their way to becoming numbers.
+
+    Parameters
+    ----------
+    features
+        Planes of the input.
+    """
+
+    def __init__(self, features: int) -> None:
+        self._whole = range(features)
+        self._parts: dict[str, range] = {}
+        self._steps: dict[int, Steps] = {}
+
+    def take(self, node: Node, tensors: Mapping[str, np.ndarray]) -> Planes | None:
+        """What a node makes of integers: planes of numbers; None where they stay integers.
+
+        Raises
+        ------
+        GraphError
+            It is none that an export of stillray writes.
+        """
+        name, made = node.inputs[0], node.outputs[0]
+        if node.operator == "Transpose" and name == "features":
+            _only(node, 1, {"perm": (0, 3, 1, 2)})
+            _require(node, "perm" in node.attributes, "must have perm (0, 3, 1, 2)")
+            self._parts[made] = self._whole
+            return None
+        _require(node, name in self._parts, "must not take the input's integers")
+        part = self._parts[name]
+        inputs = _Inputs(node, {name: Planes(len(part), 1)}, tensors)
+        if node.operator == "Slice":
+            count = _part(node, inputs)[0].count
+            start = inputs.number(1)
+            self._parts[made] = part[start : start + count]
+            return None
+        _require(node, node.operator == _DEQUANTIZE, "must not take the input's integers")
+        planes, _ = _in_steps(node, inputs)
+        zero = inputs.integers(2)
+        _require(node, zero.dtype == np.uint8, "must take integers without a sign")
+        found = Steps(float(inputs.tensor(1)), int(zero))
+        for plane in part:
+            _require(node, self._steps.setdefault(plane, found) == found, "must agree on steps")
+        return planes
+
+    def takes(self, node: Node) -> bool:
+        return any(name == "features" or name in self._parts for name in node.inputs)
+
+    def names(self) -> set[str]:
+        return set(self._parts)
+
+    def steps(self) -> tuple[Steps, ...]:
+        """Of all planes."""
+        if len(self._steps) < len(self._whole):
+            raise GraphError("every plane of integers must be made numbers")
+        return tuple(self._steps[plane] for plane in self._whole)
+
+
 def _weights(graph: Graph) -> tuple[tuple[str, tuple[int, ...]], ...]:
     """Tensors of the file that are inputs, too: their shapes must be those of the file."""
     for source in graph.inputs[1:]:
+        if source.integers:
+            raise GraphError(f"input {source.name} must be float32")
         shape = graph.tensors[source.name].shape
         if source.shape != shape:
             raise GraphError(f"input {source.name} must have shape {shape}, got {source.shape}")
@@ -324,6 +415,10 @@ def _dequantized(node: Node, inputs: _Inputs) -> np.ndarray:
     return np.asarray(numbers, np.float32)
 
 
+def _turned(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
+    raise GraphError("Transpose must take the input's integers")
+
+
 _DEQUANTIZE = "DequantizeLinear"
 OPERATORS: dict[str, _Rule] = {
     "Add": _add,
@@ -338,4 +433,5 @@ OPERATORS: dict[str, _Rule] = {
     "Resize": _doubling,
     "Sigmoid": _pointwise,
     "Slice": _part,
+    "Transpose": _turned,
 }

@@ -26,8 +26,12 @@ from stillray.models.protobuf import MAX_VALUES, Field, Wire, WireError
 #: Bytes of a file: forty times the largest that comes with stillray. Tensors lie within it.
 MAX_BYTES = 100 * 2**20
 MAX_NODES = 2000
-_FLOAT, _INT64 = 1, 7  # of TensorProto.DataType
-_QUANTIZED: dict[int, np.dtype[Any]] = {2: np.dtype("u1"), 3: np.dtype("i1"), 6: np.dtype("<i4")}
+_FLOAT, _UINT8, _INT64 = 1, 2, 7  # of TensorProto.DataType
+_QUANTIZED: dict[int, np.dtype[Any]] = {
+    _UINT8: np.dtype("u1"),
+    3: np.dtype("i1"),
+    6: np.dtype("<i4"),
+}
 _MOST_AXES = 8
 
 _text = partial(Field, kind="text")
@@ -110,10 +114,14 @@ class Node:
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """What a graph is given: the name, and each axis as a number, or None where that is free."""
+    """What a graph is given: the name, and each axis as a number, or None where that is free.
+
+    Numbers are float32, or ``integers`` without a sign, of 8 bits.
+    """
 
     name: str
     shape: tuple[int | None, ...]
+    integers: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -310,8 +318,12 @@ def _source(wire: Wire, data: memoryview) -> Source:
     name = value.get("name", "")
     kind = wire.decode(f"input {name}", value.get("type", memoryview(b"")), _TYPE)
     tensor = wire.decode(f"input {name}", kind.get("tensor", memoryview(b"")), _TENSOR_TYPE)
-    if tensor.get("elements") != _FLOAT:
-        raise WireError(f"its input {name} must be float32")
+    if tensor.get("elements") not in (_FLOAT, _UINT8):
+        raise WireError(f"its input {name} must be float32 or uint8")
     shape = wire.decode(f"input {name}", tensor.get("shape", memoryview(b"")), _SHAPE)
     axes = [wire.decode(f"input {name}", chunk, _DIMENSION) for chunk in shape["dimension"]]
-    return Source(name=name, shape=tuple(axis.get("value") for axis in axes))
+    return Source(
+        name=name,
+        shape=tuple(axis.get("value") for axis in axes),
+        integers=tensor["elements"] == _UINT8,
+    )

@@ -11,7 +11,7 @@ import numpy as np
 
 from stillray.arrays.watch import INTERVAL, Watch
 from stillray.errors import InputError
-from stillray.models.network_graph import GraphError, Interface, interface_of
+from stillray.models.network_graph import GraphError, Interface, Steps, interface_of
 from stillray.models.onnx_file import OnnxFile, parse_onnx, read_bytes
 from stillray.models.protobuf import WireError
 
@@ -57,7 +57,14 @@ class Network:
     steps
         Name of a graph that comes with stillray, beside the network: where its file is. Opened
         when it is first run, in a thread of its own, and not read strictly, being stillray's own.
+
+    Attributes
+    ----------
+    feature_steps
+        See `Interface`.
     """
+
+    feature_steps: tuple[Steps, ...] | None
 
     def __init__(
         self,
@@ -72,8 +79,11 @@ class Network:
         self._opened: dict[str, Future[Any]] = {}
         self._thread = ThreadPoolExecutor(1, "stillray-network")
         try:
+            file, interface = read_checked(path)
+            self.feature_steps = interface.steps
+            options = session_options(threads, flush_denormals=True)
             self._session = self._thread.submit(
-                open_session, path, threads=threads, providers=providers, flush_denormals=True
+                start_session, file.data, path, options, providers
             ).result()
         except BaseException:
             self.close()
@@ -88,7 +98,7 @@ class Network:
             ``"network"``; ``"weights"``, which runs nothing and gives those of the file that may
             be given in their place; or the name of a step.
         inputs
-            Of the network ``"features"``, ``(1, features, h, w)`` float32, and weights by name.
+            Of the network ``"features"``, as `Interface` has them, and weights by name.
 
         Raises
         ------
@@ -178,6 +188,12 @@ class WatchedEngine:
 
     def __init__(self, engine: Any, watch: Watch) -> None:
         self._engine, self._watch = engine, watch
+
+    @property
+    def feature_steps(self) -> tuple[Steps, ...] | None:
+        """Of the engine, if it has any."""
+        steps: tuple[Steps, ...] | None = getattr(self._engine, "feature_steps", None)
+        return steps
 
     def run(self, graph: str, inputs: Mapping[str, np.ndarray]) -> dict[str, Any]:
         """As the engine's own."""

@@ -1,0 +1,116 @@
+"""What a network is given, made a strip at a time: planes of numbers, or pixels in steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import groupby
+
+import cv2
+import numpy as np
+
+from stillray.arrays.extend import mirrored
+from stillray.arrays.strips import Strips
+from stillray.arrays.workspace import Workspace
+from stillray.families.contract import Engine
+from stillray.models.network_graph import Steps
+
+
+class NetworkInput:
+    """The input of an engine's network, of its kind.
+
+    Parameters
+    ----------
+    engine
+        What will run the network: its ``feature_steps``, if it has any, say what that takes.
+    count
+        Planes.
+    full
+        Height and width, of the network's alignment.
+    workspace
+        Where the input lies.
+    strips
+        In whose workspaces strips are made.
+
+    Attributes
+    ----------
+    array
+        ``(1, planes, H, W)`` float32, or ``(1, H, W, planes)`` uint8.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        count: int,
+        full: tuple[int, int],
+        workspace: Workspace,
+        strips: Strips,
+    ) -> None:
+        self._steps: tuple[Steps, ...] | None = getattr(engine, "feature_steps", None)
+        self._count, self._strips = count, strips
+        if self._steps is None:
+            self.array = workspace.array("features", (1, count, *full))
+        else:
+            self.array = workspace.array("features in steps", (1, *full, count), np.uint8)
+
+    def fill(self, rows: slice, width: int, write: Callable[[np.ndarray], None]) -> None:
+        """Fill some rows of the left ``width`` columns.
+
+        Parameters
+        ----------
+        rows, width
+            Pixels.
+        write
+            Writes the planes, ``(planes, rows, width)`` float32, where it is told.
+        """
+        if self._steps is None:
+            write(self.array[0, :, rows, :width])
+            return
+        workspace, shape = self._strips.workspace, (rows.stop - rows.start, width)
+        planes = workspace.array("planes of a strip", (self._count, *shape))
+        write(planes)
+        target = self.array[0, rows, :width]
+        if target.flags.c_contiguous:
+            in_steps(planes, self._steps, target, workspace)
+        else:
+            pixels = workspace.array("pixels of a strip", (*shape, self._count), np.uint8)
+            target[...] = in_steps(planes, self._steps, pixels, workspace)
+
+    def mirror(self, height: int, width: int) -> None:
+        """Carry on what was filled by its mirror image: the outputs are for light that is."""
+        rows, columns = (1, 2) if self._steps is not None else (2, 3)
+        found = np.moveaxis(self.array, (rows, columns), (0, 1))
+        for at, place in enumerate(mirrored(width, found.shape[1])[width:], start=width):
+            found[:height, at] = found[:height, place]
+        for at, place in enumerate(mirrored(height, found.shape[0])[height:], start=height):
+            found[at] = found[place]
+
+
+def in_steps(
+    planes: np.ndarray, steps: Sequence[Steps], out: np.ndarray, workspace: Workspace
+) -> np.ndarray:
+    """Numbers as integers of 8 bits, pixel by pixel.
+
+    Parameters
+    ----------
+    planes : (c, h, w) float32
+        Contiguous; changed.
+    steps
+        What the integers of each plane stand for.
+    out : (h, w, c) uint8
+        Contiguous; written and returned.
+    workspace
+        For what lies between.
+    """
+    flat = planes.reshape(len(planes), -1)
+    integers = workspace.array("planes in steps", flat.shape, np.uint8)
+    first = 0
+    for step, alike in groupby(steps):
+        part = slice(first, first := first + len(list(alike)))
+        values, target = flat[part], integers[part]
+        # a step beyond the last integers: OpenCV would make 0 of what no whole number holds
+        least, most = ((end - step.zero) * step.scale for end in (-1, 256))
+        np.clip(values, np.float32(least), np.float32(most), out=values)
+        # one pass: a product, a sum, rounded to even and bounded
+        cv2.addWeighted(values, 1 / step.scale, values, 0, step.zero, dst=target, dtype=cv2.CV_8U)
+    cv2.transpose(integers, dst=out.reshape(-1, len(planes)))
+    return out

@@ -1,0 +1,138 @@
+"""Networks whose input is pixels of 8-bit integers: in which steps, is known before they run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillray.arrays.strips import Strips
+from stillray.arrays.workspace import Workspace
+from stillray.families.network_input import NetworkInput, in_steps
+from stillray.models.network_graph import GraphError, Planes, Steps, interface_of
+from stillray.models.onnx_file import parse_onnx
+from stillray.models.protobuf import WireError
+
+onnx = pytest.importorskip("onnx")
+UINT8, FLOAT = onnx.TensorProto.UINT8, onnx.TensorProto.FLOAT
+FIRST, SECOND = Steps(0.5, 3), Steps(0.25, 100)
+
+
+def model(nodes=None, *, shape=(1, "height", "width", 5), kind=UINT8, **changes):
+    """Planes 0 and 1 in one kind of steps, planes 2 to 4 in another; the first two come out."""
+    tensors = {
+        "0": np.array([0], np.int64), "2": np.array([2], np.int64), "5": np.array([5], np.int64),
+        "1": np.array([1], np.int64),
+        "scale": np.array(FIRST.scale, np.float32), "zero": np.array(FIRST.zero, np.uint8),
+        "scale 2": np.array(SECOND.scale, np.float32), "zero 2": np.array(SECOND.zero, np.uint8),
+    } | changes  # fmt: skip
+    make = onnx.helper.make_node
+    nodes = nodes or [
+        make("Transpose", ["features"], ["planes"], perm=[0, 3, 1, 2]),
+        make("Slice", ["planes", "0", "2", "1"], ["two"]),
+        make("Slice", ["planes", "2", "5", "1"], ["three"]),
+        make("DequantizeLinear", ["two", "scale", "zero"], ["numbers"]),
+        make("DequantizeLinear", ["three", "scale 2", "zero 2"], ["more"]),
+        make("Relu", ["numbers"], ["logits"]),
+    ]
+    features = onnx.helper.make_tensor_value_info("features", kind, shape)
+    logits = onnx.helper.make_tensor_value_info("logits", FLOAT, None)
+    initializers = [onnx.numpy_helper.from_array(value, name) for name, value in tensors.items()]
+    graph = onnx.helper.make_graph(nodes, "g", [features], [logits], initializers)
+    opsets = [onnx.helper.make_opsetid("", 18)]
+    return onnx.helper.make_model(graph, opset_imports=opsets)
+
+
+def interface(*args, **changes):
+    return interface_of(parse_onnx(model(*args, **changes).SerializeToString()).graph)
+
+
+def test_every_plane_has_steps_of_its_own():
+    found = interface()
+    assert (found.features, found.outputs) == (5, (Planes(2, 1),))
+    assert found.steps == (FIRST, FIRST, SECOND, SECOND, SECOND)
+
+
+def nodes_with(place, node):
+    nodes = list(model().graph.node)
+    nodes[place] = node
+    return nodes
+
+
+def node(operator, inputs, outputs, **attributes):
+    return onnx.helper.make_node(operator, inputs, outputs, **attributes)
+
+
+@pytest.mark.parametrize(
+    ("nodes", "message"),
+    [
+        (nodes_with(0, node("Transpose", ["features"], ["planes"], perm=[0, 1, 3, 2])),
+         "Transpose must have perm"),
+        (nodes_with(0, node("Transpose", ["features"], ["planes"])), "Transpose must have perm"),
+        (nodes_with(0, node("Relu", ["features"], ["planes"])), "Relu must not take the input's"),
+        (nodes_with(3, node("Relu", ["two"], ["numbers"])), "Relu must not take the input's"),
+        (nodes_with(5, node("Add", ["numbers", "two"], ["logits"])), "must not take the input's"),
+        (nodes_with(4, node("Relu", ["numbers"], ["more"])), "every plane of integers must be"),
+        (nodes_with(5, node("DequantizeLinear", ["two", "scale 2", "zero 2"], ["logits"])),
+         "DequantizeLinear must agree on steps"),
+        (nodes_with(5, node("Transpose", ["numbers"], ["logits"], perm=[0, 3, 1, 2])),
+         "Transpose must take the input's"),
+        (nodes_with(1, node("Slice", ["planes", "0", "5", "1"], ["three"])), "a name of its own"),
+    ],
+)  # fmt: skip
+def test_other_ways_to_numbers_are_refused(nodes, message):
+    with pytest.raises(GraphError, match=message):
+        interface(nodes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"zero": np.array(3, np.int8)}, "must take integers without a sign"),
+        ({"scale": np.array(0, np.float32)}, "must have a scale above 0"),
+        ({"shape": (1, 5, "height", "width")}, "must have shape .1, height, width, planes"),
+        ({"shape": (1, "height", "width", 2000)}, "must have 1 to 1024 planes, got 2000"),
+        ({"kind": FLOAT, "shape": (1, 5, "height", "width")}, "Transpose must take the input's"),
+    ],
+)
+def test_other_inputs_are_refused(changes, message):
+    with pytest.raises(GraphError, match=message):
+        interface(**changes)
+    with pytest.raises(WireError, match="must be float32 or uint8"):
+        interface(kind=onnx.TensorProto.INT8)
+
+
+class Takes:
+    """An engine of a network that takes this input."""
+
+    def __init__(self, steps):
+        self.feature_steps = steps
+
+
+@pytest.mark.parametrize("width", [40, 48])
+def test_pixels_are_made_strip_by_strip_as_planes_are(rng, width):
+    planes = (20 * rng.normal(size=(5, 35, width))).astype(np.float32)
+    planes[:, 3, :4] = 1e30, -1e30, 1e-38, 0  # beyond all steps
+    strips, found = Strips(2, pixels=4 * 48), []
+    for steps in (None, (FIRST, FIRST, SECOND, FIRST, SECOND)):
+        made = NetworkInput(Takes(steps), 5, (48, 48), Workspace(), strips)
+
+        def pack(rows, made=made):
+            made.fill(rows, width, lambda out: np.copyto(out, planes[:, rows]))
+
+        strips.run(pack, 35, width)
+        made.mirror(35, width)
+        found.append(made.array)
+    numbers, integers = found
+    assert numbers.shape == (1, 5, 48, 48)
+    assert (integers.shape, integers.dtype) == ((1, 48, 48, 5), np.uint8)
+    np.testing.assert_array_equal(numbers[0, :, :35, :width], planes)
+    np.testing.assert_array_equal(numbers[0, :, 35:], numbers[0, :, 34:21:-1])
+    for plane, values, step in zip(np.moveaxis(integers[0], -1, 0), numbers[0], steps, strict=True):
+        exact = np.clip(values.astype(np.float64) / step.scale + step.zero, 0, 255)
+        assert np.abs(plane - exact).max() <= 0.5 + 1e-4
+
+
+def test_halves_are_rounded_to_even():
+    values = np.array([[[0.25, 0.75, 1.25]]], np.float32)
+    out = in_steps(values, (Steps(0.5, 100),), np.empty((1, 3, 1), np.uint8), Workspace())
+    assert out.ravel().tolist() == [100, 102, 102]
