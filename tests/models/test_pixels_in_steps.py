@@ -111,7 +111,7 @@ class Takes:
 @pytest.mark.parametrize("width", [40, 48])
 def test_pixels_are_made_strip_by_strip_as_planes_are(rng, width):
     planes = (20 * rng.normal(size=(5, 35, width))).astype(np.float32)
-    planes[:, 3, :4] = 1e30, -1e30, 1e-38, 0  # beyond all steps
+    planes[:, 3, :4] = 1e6, -1e6, 1e-38, 0  # beyond the first and last step
     strips, found = Strips(2, pixels=4 * 48), []
     for steps in (None, (FIRST, FIRST, SECOND, FIRST, SECOND)):
         made = NetworkInput(Takes(steps), 5, (48, 48), Workspace(), strips)

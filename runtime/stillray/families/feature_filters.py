@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillray.arrays.extend import cut
-from stillray.arrays.strips import STRIP_PIXELS, Strips, with_halo
+from stillray.arrays.strips import STRIP_PIXELS, Strips, pixels_of, with_halo
 from stillray.families.contract import Context, Request, State, Step, Traits
 from stillray.families.cost import feature_filters_cost
 from stillray.families.feature_reconstruction import (
@@ -25,7 +25,7 @@ from stillray.families.feature_reconstruction import (
 )
 from stillray.families.network_input import NetworkInput
 from stillray.families.target_grid import Grid, dilated, recalled
-from stillray.families.target_planes import Known, Surfaces, fill_planes, log_depth
+from stillray.families.target_planes import Known, Surfaces, log_depth, planes_by_name
 from stillray.frame import Frame
 from stillray.model_spec.loader import BranchNetwork, FeatureFilters, ModelSpec
 from stillray.stages import features
@@ -284,7 +284,8 @@ class FeatureFiltersModel:
         )
 
         def work(rows: slice) -> None:
-            found.fill(rows, full[1], lambda out: fill_planes(names, out, known.of_rows(rows)))
+            planes = planes_by_name(names, known.of_rows(rows), context.strips.workspace)
+            found.put(rows, planes)
 
         with timed(context.timings, "encode"):
             context.strips.run(work, *full)
@@ -335,9 +336,9 @@ def warped(
 
     def work(rows: slice) -> None:
         positions, inside = grid.past_positions(motion, rows)
+        outside = np.flatnonzero(~inside)
         for source, image in zip(remembered, images, strict=True):
-            image[rows] = recalled(source, positions)
-            image[rows][~inside] = 0
+            pixels_of(recalled(source, positions, out=image[rows]))[outside] = 0
         if most_blur:
             for image in images[:3]:
                 bound_blur(image[rows], positions, most_blur, strips.workspace)

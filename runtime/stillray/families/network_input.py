@@ -75,6 +75,18 @@ class NetworkInput:
             pixels = workspace.array("pixels of a strip", (*shape, self._count), np.uint8)
             target[...] = in_steps(planes, self._steps, pixels, workspace)
 
+    def put(self, rows: slice, planes: Sequence[np.ndarray]) -> None:
+        """Fill some rows, of the whole width, with planes ``(rows, W)`` float32 that lie apart."""
+        if self._steps is None:
+            for plane, target in zip(planes, self.array[0], strict=True):
+                target[rows] = plane
+            return
+        workspace, shape = self._strips.workspace, planes[0].shape
+        integers = workspace.array("planes in steps", (self._count, *shape), np.uint8)
+        for plane, step, target in zip(planes, self._steps, integers, strict=True):
+            _round(plane, step, target)
+        _interleave(integers, self.array[0, rows])
+
     def mirror(self, height: int, width: int) -> None:
         """Carry on what was filled by its mirror image: the outputs are for light that is."""
         rows, columns = (1, 2) if self._steps is not None else (2, 3)
@@ -93,7 +105,7 @@ def in_steps(
     Parameters
     ----------
     planes : (c, h, w) float32
-        Contiguous; changed.
+        Contiguous; within 2e9 steps of 0, as features are: what is beyond would wrap.
     steps
         What the integers of each plane stand for.
     out : (h, w, c) uint8
@@ -107,10 +119,17 @@ def in_steps(
     for step, alike in groupby(steps):
         part = slice(first, first := first + len(list(alike)))
         values, target = flat[part], integers[part]
-        # a step beyond the last integers: OpenCV would make 0 of what no whole number holds
-        least, most = ((end - step.zero) * step.scale for end in (-1, 256))
-        np.clip(values, np.float32(least), np.float32(most), out=values)
-        # one pass: a product, a sum, rounded to even and bounded
-        cv2.addWeighted(values, 1 / step.scale, values, 0, step.zero, dst=target, dtype=cv2.CV_8U)
-    cv2.transpose(integers, dst=out.reshape(-1, len(planes)))
+        _round(values, step, target)
+    return _interleave(integers, out)
+
+
+def _round(values: np.ndarray, step: Steps, out: np.ndarray) -> None:
+    """Numbers of any shape as integers, in one pass: a product, a sum, rounded and bounded."""
+    cv2.addWeighted(values, 1 / step.scale, values, 0, step.zero, dst=out, dtype=cv2.CV_8U)
+
+
+def _interleave(integers: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """Planes ``(c, ...)`` of integers as pixels, contiguous."""
+    count = len(integers)
+    cv2.transpose(integers.reshape(count, -1), dst=out.reshape(-1, count))
     return out

@@ -148,7 +148,7 @@ def dilated(motion: np.ndarray, depth: np.ndarray | None, strips: Strips) -> np.
     return result
 
 
-def recalled(image: np.ndarray, positions: np.ndarray) -> np.ndarray:
+def recalled(image: np.ndarray, positions: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
     """An image of four channels of the last picture at positions within it, bilinear.
 
     Parameters
@@ -156,5 +156,7 @@ def recalled(image: np.ndarray, positions: np.ndarray) -> np.ndarray:
     image : (H, W, 4) float32
     positions : (h, w, 2) float32
         See `Grid.past_positions`.
+    out : (h, w, 4) float32, optional
+        Written and returned.
     """
-    return cv2.remap(image, positions, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return cv2.remap(image, positions, None, cv2.INTER_LINEAR, out, cv2.BORDER_REPLICATE)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from stillray.arrays.bounds import at_most
+from stillray.arrays.strips import planes_of
+from stillray.arrays.workspace import Workspace
 from stillray.families.feature_reconstruction import Accumulated, Enlarged
 
 #: Of the mu-law (Kalantari and Ramamoorthi 2017): a three-hundredth of white lies at a third.
@@ -17,6 +19,7 @@ MU = 5000.0
 MOST_LIGHT = 1e4
 #: Wavelengths over 2 pi of the sines that tell a count, as Vaswani et al. 2017 space them.
 PERIODS = (1.0, 100.0)
+_COLORS = 3
 FARTHEST = 69.0  # logarithm of the depth of what was not hit: 1e30
 
 
@@ -48,14 +51,14 @@ class Surfaces:
         return Surfaces(part(self.normal), part(self.roughness), part(self.depth), self.depth_unit)
 
 
-def tone_map(radiance: np.ndarray, exposure: float) -> np.ndarray:
+def tone_map(radiance: np.ndarray, exposure: float, out: np.ndarray) -> np.ndarray:
     """``log(1 + mu x) / log(1 + mu)`` of exposed radiance, [0, 1] for what a display shows."""
-    exposed = at_most(radiance, MOST_LIGHT / exposure) * np.float32(exposure)
-    exposed *= np.float32(MU)
-    exposed += 1
-    mapped = cv2.log(exposed, dst=exposed)  # a seventh of the time of np.log1p, 6e-7 off at most
-    mapped /= np.float32(np.log1p(MU))
-    return mapped
+    at_most(radiance, MOST_LIGHT / exposure, out=out)
+    out *= np.float32(exposure * MU)
+    out += 1
+    cv2.log(out, dst=out)  # a seventh of the time of np.log1p, 6e-7 off at most
+    out *= np.float32(1 / np.log1p(MU))
+    return out
 
 
 def log_depth(depth: np.ndarray) -> np.ndarray:
@@ -104,66 +107,77 @@ class Known:
         )
 
 
-def fill_planes(names: Sequence[str], out: np.ndarray, known: Known) -> None:
-    """Fill the planes that a network asks for.
+def planes_by_name(names: Sequence[str], known: Known, workspace: Workspace) -> list[np.ndarray]:
+    """The planes that a network asks for, ``(H, W)`` float32 each: values of a few units.
 
     Parameters
     ----------
     names
         Of `stillray.model_spec.loader.RADIANCE_FEATURES` and ``GUIDE_FEATURES``; some twice.
-    out : (len(names), H, W) float32
-        Written: values of a few units.
     known
         What they are made of.
+    workspace
+        Where they lie.
     """
-    found = dict(_light_planes(known))
-    found.update(_count_planes(known.accumulated, set(names)))
-    found.update(_surface_planes(known))
-    found["offset.y"] = np.broadcast_to(known.offsets[0][:, None], out.shape[1:])
-    found["offset.x"] = np.broadcast_to(known.offsets[1], out.shape[1:])
-    for name, target in zip(names, out, strict=True):
-        target[...] = found.get(name, 0)
-
-
-def _light_planes(known: Known) -> Iterator[tuple[str, np.ndarray]]:
-    """Light, tone-mapped, and albedos."""
     frame, kept = known.frame, known.accumulated
+
+    def split(name: str, image: np.ndarray) -> np.ndarray:
+        height, width, channels = image.shape
+        return planes_of(image, out=workspace.array(f"planes of {name}", (channels, height, width)))
+
+    found: dict[str, np.ndarray] = {}
+    counts: dict[str, np.ndarray] = {}
     for name, image in (("color", frame.color), ("past", kept.light), ("output", known.output)):
-        yield from _channels(name, tone_map(image[..., :3], known.exposure))
-    yield from _channels("albedo", frame.albedo)
-    yield from _channels("specular", frame.specular)
-    yield from _channels("past_albedo", kept.albedo)
-    yield from _channels("past_specular", kept.specular)
+        light = split(name, image)
+        tone_map(light[:_COLORS], known.exposure, out=light[:_COLORS])
+        found.update(_colors(name, light))
+        counts[name] = light[-1]
+    for name, image in (
+        ("albedo", frame.albedo),
+        ("specular", frame.specular),
+        ("past_albedo", kept.albedo),
+        ("past_specular", kept.specular),
+    ):
+        albedo = split(name, image)
+        found.update(_colors(name, albedo))
+        counts[name] = albedo[-1]
+    wanted = set(names)
+    for name in ("past", "past_albedo", "past_specular"):
+        found.update(_waves(name, counts[name], wanted, workspace))
+    if known.surfaces.normal is not None:
+        normal = split("normal", known.surfaces.normal)
+        found.update(zip(("normal.x", "normal.y", "normal.z"), normal, strict=True))
+    found.update(_distances(known, counts))
+    shape = frame.color.shape[:2]
+    found["offset.y"] = np.broadcast_to(known.offsets[0][:, None], shape)
+    found["offset.x"] = np.broadcast_to(known.offsets[1], shape)
+    nothing = np.broadcast_to(np.float32(0), shape)
+    return [found.get(name, nothing) for name in names]
 
 
-def _count_planes(kept: Accumulated, wanted: set[str]) -> Iterator[tuple[str, np.ndarray]]:
+def _colors(name: str, planes: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    yield from zip((f"{name}.r", f"{name}.g", f"{name}.b"), planes, strict=False)
+
+
+def _waves(
+    name: str, count: np.ndarray, wanted: set[str], workspace: Workspace
+) -> Iterator[tuple[str, np.ndarray]]:
     """Samples of what was accumulated, as sines and cosines."""
-    images = {"past": kept.light, "past_albedo": kept.albedo, "past_specular": kept.specular}
-    for name, image in images.items():
-        for index, period in enumerate(PERIODS):
-            angle = image[..., 3] / np.float32(period)
-            for place, wave in ((2 * index, np.sin), (2 * index + 1, np.cos)):
-                if f"{name}.count.{place}" in wanted:
-                    yield f"{name}.count.{place}", wave(angle)
+    for index, period in enumerate(PERIODS):
+        angle = count / np.float32(period)
+        for place, wave in ((2 * index, np.sin), (2 * index + 1, np.cos)):
+            plane = f"{name}.count.{place}"
+            if plane in wanted:
+                yield plane, wave(angle, out=workspace.array(plane, count.shape))
 
 
-def _surface_planes(known: Known) -> Iterator[tuple[str, np.ndarray]]:
-    """What is given of the surfaces, and where another one was before."""
+def _distances(known: Known, counts: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
+    """What else is given of the surfaces, and where another one was before."""
     surfaces = known.surfaces
-    if surfaces.normal is not None:
-        yield from zip(("normal.x", "normal.y", "normal.z"), _last(surfaces.normal), strict=True)
     if surfaces.roughness is not None:
         yield "roughness", surfaces.roughness
     if surfaces.depth is not None:
         yield "depth", surfaces.depth / (surfaces.depth + np.float32(surfaces.depth_unit))
-        change = np.clip(known.output[..., 3] - log_depth(surfaces.depth), -1, 1)
-        remembered = known.accumulated.light[..., 3] > 0
-        yield "depth.change", np.where(remembered, change, np.float32(0))
-
-
-def _channels(name: str, image: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    yield from zip((f"{name}.r", f"{name}.g", f"{name}.b"), _last(image), strict=False)
-
-
-def _last(image: np.ndarray) -> Iterator[np.ndarray]:
-    return (image[..., channel] for channel in range(image.shape[-1]))
+        change = np.clip(counts["output"] - log_depth(surfaces.depth), -1, 1)
+        change[counts["past"] <= 0] = 0
+        yield "depth.change", change
