@@ -116,6 +116,20 @@ def test_parity_fails_loudly_when_one_weight_is_off(exported):
         parity.check(network, wrong, path.read_bytes(), whole.read_bytes(), spec)
 
 
+def test_forms_may_round_as_the_trained_network_does_and_not_much_more(exported, monkeypatch):
+    spec, network, path = exported.spec, exported.network, exported.path
+    whole = path.with_name(f"{spec.name}{WHOLE_SUFFIX}.onnx")
+    forms = (network, fuse(network), path.read_bytes(), whole.read_bytes(), spec)
+    monkeypatch.setattr(parity, "NETWORK_TOLERANCE", 0.0)
+    parity.check(*forms)
+    monkeypatch.setattr(parity, "ROUNDING", 0.01)
+    with pytest.raises(parity.ParityError, match="logits must agree"):
+        parity.check(*forms)
+    monkeypatch.setattr(parity, "MOST_ROUNDING", 1e-12)
+    with pytest.raises(parity.ParityError, match="branches logits must agree"):
+        parity.check(*forms)
+
+
 @pytest.mark.parametrize("name", [info.name for info in list_models()])
 def test_committed_whole_graph_agrees_with_the_committed_network(name):
     import onnxruntime as ort
