@@ -11,51 +11,10 @@ import stillray
 from stillray.frame import Frame
 from stillray.models.registry import find_model
 from stillray_training.upscaling.enlarge import enlarge
+from stillray_training.upscaling.still_frames import SIZE, frame, psnr, wanted
 from tests.conftest import make_frame
 
-SIZE = (45, 70)
 SPEED = 0.35  # pixels a frame
-
-
-def surface(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Albedo of a wall at positions in pixels: waves, and bars a pixel wide."""
-    waves = [np.sin(0.5 * x + phase) * np.cos(0.4 * y) for phase in (0.0, 1.0, 2.0)]
-    bars = (np.floor(x + 0.3 * y) % 8 == 0)[..., None]
-    return np.where(bars, 0.08, 0.5 + 0.3 * np.stack(waves, -1)).astype(np.float32)
-
-
-def frame(number: int, *, speed: float = SPEED, noise: float = 1.0) -> Frame:
-    """The wall slides under light of one noisy sample a pixel."""
-    rng = np.random.default_rng([7, number])
-    # spread evenly over the pixel, as renderers do (Roberts 2018, R2)
-    jitter = np.modf(number * np.array([0.7548776662, 0.5698402910]))[0] - 0.5
-    y, x = np.indices(SIZE) + 0.5
-    albedo = surface(x + jitter[0] + speed * number, y + jitter[1])
-    flat = np.ones(SIZE, np.float32)
-    light = 1 + noise * (rng.exponential(1.0, (*SIZE, 1)) - 1)
-    return Frame(
-        color=albedo * light,
-        albedo=albedo,
-        normal=np.stack([0 * flat, 0 * flat, flat], -1),
-        depth=3 * flat,
-        motion=np.stack([speed * flat, 0 * flat], -1),
-        roughness=flat,
-        specular_albedo=0 * albedo,
-        jitter=jitter,
-    )
-
-
-def wanted(number: int, speed: float = SPEED) -> np.ndarray:
-    """The wall at the picture's pixels, each the mean of 4x4 points."""
-    steps = (np.arange(8 * SIZE[0]) + 0.5) / 8, (np.arange(8 * SIZE[1]) + 0.5) / 8
-    y, x = np.meshgrid(*steps, indexing="ij")
-    points = surface(x + speed * number, y)
-    return points.reshape(2 * SIZE[0], 4, 2 * SIZE[1], 4, 3).mean((1, 3))
-
-
-def psnr(image: np.ndarray, reference: np.ndarray) -> float:
-    inner = (slice(8, -8), slice(8, -8))
-    return float(-10 * np.log10(np.square(image[inner] - reference[inner]).mean()))
 
 
 @pytest.fixture(scope="module")
@@ -79,25 +38,28 @@ def test_it_is_nearer_than_denoising_first_and_enlarging_then(fresh) -> None:
     with stillray.Denoiser("kpyr-5", threads=1) as plain:
         found = []
         for number in range(8):
-            image = fresh.denoise(frame(number))
-            enlarged = enlarge(plain.denoise(frame(number)), 2)
-            found.append(psnr(image, wanted(number)) - psnr(enlarged, wanted(number)))
+            image = fresh.denoise(frame(number, speed=SPEED))
+            enlarged = enlarge(plain.denoise(frame(number, speed=SPEED)), 2)
+            found.append(psnr(image, wanted(number, SPEED)) - psnr(enlarged, wanted(number, SPEED)))
     assert image.shape == (2 * SIZE[0], 2 * SIZE[1], 3)
     assert np.mean(found[4:]) > 0.3
 
 
 def test_pictures_become_better_with_their_past(fresh) -> None:
-    found = [psnr(fresh.denoise(frame(number)), wanted(number)) for number in range(12)]
+    found = [
+        psnr(fresh.denoise(frame(number, speed=SPEED)), wanted(number, SPEED))
+        for number in range(12)
+    ]
     assert found[3] > found[0] + 1
     assert min(found[8:]) > found[0] + 1.2
 
 
 def test_a_hundred_still_frames_stay_what_they_show(fresh) -> None:
     """Detail of the doubled picture grows; nothing drifts, darkens or blows up."""
-    target = wanted(0, speed=0.0)
+    target = wanted(0)
     found, means = [], []
     for number in range(100):
-        image = fresh.denoise(frame(number, speed=0.0))
+        image = fresh.denoise(frame(number))
         found.append(psnr(image, target))
         means.append(float(image.mean()))
     assert found[15] > found[0] + 2
@@ -106,11 +68,11 @@ def test_a_hundred_still_frames_stay_what_they_show(fresh) -> None:
 
 
 def test_without_jitter_and_guides_it_still_denoises(fresh) -> None:
-    noisy = psnr(enlarge(frame(0).color, 2), wanted(0))
+    noisy = psnr(enlarge(frame(0, speed=SPEED).color, 2), wanted(0, SPEED))
     for number in range(4):
-        given = frame(number)
+        given = frame(number, speed=SPEED)
         image = fresh.denoise(Frame(color=given.color, motion=given.motion))
-    assert psnr(image, wanted(3)) > noisy + 4
+    assert psnr(image, wanted(3, SPEED)) > noisy + 4
     assert np.isfinite(image).all()
 
 
@@ -125,7 +87,7 @@ def test_every_size_is_doubled(fresh, size) -> None:
 @pytest.mark.parametrize("broken", [np.nan, np.inf, -1e30, 3e38, 0.0])
 def test_broken_samples_do_not_spread(fresh, broken: float) -> None:
     for number in range(5):
-        given = frame(number)
+        given = frame(number, speed=SPEED)
         color = given.color.copy()
         color[20:22, 30:33] = broken
         image = fresh.denoise(stillray.Frame(
@@ -134,7 +96,7 @@ def test_broken_samples_do_not_spread(fresh, broken: float) -> None:
             specular_albedo=given.specular_albedo,
         ))  # fmt: skip
     assert np.isfinite(image).all()
-    error = np.abs(image - wanted(4)).mean(-1)
+    error = np.abs(image - wanted(4, SPEED)).mean(-1)
     error[24:60, 44:82] = 0
     assert error[8:-8, 8:-8].mean() < 0.12
     assert image.max() < 300
@@ -145,13 +107,13 @@ def test_broken_samples_do_not_spread(fresh, broken: float) -> None:
 def test_light_that_is_switched_is_followed(model, factor) -> None:
     with stillray.Denoiser(model, threads=1) as denoiser:
         for number in range(8):
-            denoiser.denoise(frame(number, speed=0.0))
+            denoiser.denoise(frame(number))
         means = []
         for number in range(8, 12):
-            given = frame(number, speed=0.0)
+            given = frame(number)
             image = denoiser.denoise(replace(given, color=given.color * np.float32(factor)))
             means.append(float(image.mean()))
-    expected = factor * float(wanted(0, speed=0.0).mean())
+    expected = factor * float(wanted(0).mean())
     assert abs(means[-1] / expected - 1) < 0.15
 
 
@@ -162,7 +124,7 @@ def test_clusters_of_fireflies_are_left_out(model):
     for bright in (1.0, 1e4):
         with stillray.Denoiser(model, threads=1) as denoiser:
             for number in range(6):
-                given = frame(number, speed=0.0)
+                given = frame(number)
                 color = given.color.copy()
                 color[20:23, 10 + number : 13 + number] *= np.float32(bright)
                 image = denoiser.denoise(replace(given, color=color))
