@@ -11,7 +11,7 @@ import stillray
 from stillray.frame import Frame
 from stillray.models.registry import find_model
 from stillray_training.upscaling.enlarge import enlarge
-from stillray_training.upscaling.still_frames import SIZE, frame, psnr, wanted
+from stillray_training.upscaling.still_frames import SIZE, curve, frame, psnr, wanted
 from tests.conftest import make_frame
 
 SPEED = 0.35  # pixels a frame
@@ -46,10 +46,7 @@ def test_it_is_nearer_than_denoising_first_and_enlarging_then(fresh) -> None:
 
 
 def test_pictures_become_better_with_their_past(fresh) -> None:
-    found = [
-        psnr(fresh.denoise(frame(number, speed=SPEED)), wanted(number, SPEED))
-        for number in range(12)
-    ]
+    found = list(curve(fresh, 12, SPEED))
     assert found[3] > found[0] + 1
     assert min(found[8:]) > found[0] + 1.2
 

@@ -7,7 +7,7 @@ pictures come to it, frame after frame.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
@@ -91,12 +91,6 @@ def curve(denoiser: Denoiser, frames: int, speed: float = 0.0) -> Iterator[float
         yield psnr(image, wanted(number, speed))
 
 
-def _means(values: Sequence[float], frames: Sequence[int]) -> list[str]:
-    """Of the frames up to each one told, from the one told before on."""
-    starts = [0, *frames[:-1]]
-    return [f"{np.mean(values[a:b]):.2f}" for a, b in zip(starts, frames, strict=True)]
-
-
 def main(
     model: Annotated[
         list[str], typer.Option("--model", "-m", help="One that doubles; repeatable.")
@@ -105,13 +99,18 @@ def main(
     speed: Annotated[float, typer.Option(help="Pixels that the wall slides by.")] = 0.0,
 ) -> None:
     """Print PSNR of doubled pictures, mean over the frames up to each number."""
-    told = [number for number in _TOLD if number < frames] + [frames]
-    table = Table("model", *(f"to {number}" for number in told))
+    found: list[list[float]] = []
     for name in model:
         with Denoiser(name, threads=available_threads()) as denoiser:
             if denoiser.scale != SCALE:
                 raise InputError(f"model must double pictures, got {name}")
-            table.add_row(name, *_means(list(curve(denoiser, frames, speed)), told))
+            found.append(list(curve(denoiser, frames, speed)))
+    table = Table("frames", *model, title="PSNR dB, means of frames")
+    first = 0
+    for last in [*(number for number in _TOLD if number < frames), frames]:
+        means = (f"{np.mean(values[first:last]):.2f}" for values in found)
+        table.add_row(f"{first + 1} to {last}", *means)
+        first = last
     Console().print(table)
 
 
