@@ -132,6 +132,27 @@ def test_pixels_are_made_strip_by_strip_as_planes_are(rng, width):
         assert np.abs(plane - exact).max() <= 0.5 + 1e-4
 
 
+@pytest.mark.parametrize("steps", [None, (FIRST, FIRST, SECOND, FIRST, SECOND)])
+def test_planes_that_lie_apart_are_put_as_those_that_are_written(rng, steps):
+    planes = (20 * rng.normal(size=(5, 16, 24))).astype(np.float32)
+    given = [*planes[:4], np.broadcast_to(planes[4, :, :1], (16, 24))]
+    planes[4] = given[4]
+    strips, arrays = Strips(1, pixels=3 * 24), []
+    for kind in ("put", "fill"):
+        made = NetworkInput(Takes(steps), 5, (16, 24), Workspace(), strips)
+
+        def work(rows, made=made, kind=kind):
+            if kind == "put":
+                made.put(rows, [plane[rows] for plane in given])
+            else:
+                made.fill(rows, 24, lambda out: np.copyto(out, planes[:, rows]))
+
+        strips.run(work, 16, 24)
+        arrays.append(made.array)
+    np.testing.assert_array_equal(*arrays)
+    assert np.ptp(arrays[0]) > 20
+
+
 def test_halves_are_rounded_to_even():
     values = np.array([[[0.25, 0.75, 1.25]]], np.float32)
     out = in_steps(values, (Steps(0.5, 100),), np.empty((1, 3, 1), np.uint8), Workspace())
