@@ -11,10 +11,10 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from stillray.arrays.workspace import Workspace  # noqa: E402
-from stillray.families.network_input import in_steps  # noqa: E402
 from stillray.models.precision import chosen, int8_path  # noqa: E402
 from stillray.models.registry import SPEC_KEY, find_model  # noqa: E402
 from stillray.models.session import open_session, read_checked  # noqa: E402
+from stillray.models.steps import in_steps  # noqa: E402
 from stillray_export.quantize import features_of, quantized  # noqa: E402
 
 ROOM = Path(__file__).parents[1] / "data" / "room"

@@ -7,10 +7,14 @@ import pytest
 
 from stillray.arrays.strips import Strips
 from stillray.arrays.workspace import Workspace
-from stillray.families.network_input import NetworkInput, in_steps
-from stillray.models.network_graph import GraphError, Planes, Steps, interface_of
+from stillray.families.network_input import NetworkInput
+from stillray.models.network_graph import GraphError, Planes, interface_of
 from stillray.models.onnx_file import parse_onnx
+from stillray.models.precision import int8_path
 from stillray.models.protobuf import WireError
+from stillray.models.registry import find_model
+from stillray.models.steps import Steps, in_steps
+from stillray.pipeline.opening import engine_of_model
 
 onnx = pytest.importorskip("onnx")
 UINT8, FLOAT = onnx.TensorProto.UINT8, onnx.TensorProto.FLOAT
@@ -157,3 +161,26 @@ def test_halves_are_rounded_to_even():
     values = np.array([[[0.25, 0.75, 1.25]]], np.float32)
     out = in_steps(values, (Steps(0.5, 100),), np.empty((1, 3, 1), np.uint8), Workspace())
     assert out.ravel().tolist() == [100, 102, 102]
+
+
+def test_a_number_a_little_below_a_half_is_rounded_down():
+    """Half a step less a millionth: beside a zero of 139 float32 does not tell it from a half."""
+    values = np.array([[[0.5 - 1e-6, 0.5 + 1e-6]]], np.float32)
+    out = in_steps(values, (Steps(1.0, 139),), np.empty((1, 2, 1), np.uint8), Workspace())
+    assert out.ravel().tolist() == [139, 140]
+
+
+def test_planes_of_floats_are_taken_too():
+    """An engine that somebody wrapped may be given what networks of floats take."""
+    model = find_model("kpyr-5")
+    engine = engine_of_model(model, 1, None, int8_path(model.path))
+    try:
+        planes = np.random.default_rng(0).normal(size=(1, 16, 32, 48)).astype(np.float32)
+        pixels = np.empty((32, 48, 16), np.uint8)
+        in_steps(planes[0], engine.feature_steps, pixels, Workspace())
+        of_planes = engine.run("network", {"features": planes})
+        of_pixels = engine.run("network", {"features": pixels[None]})
+        for name, found in of_planes.items():
+            np.testing.assert_array_equal(found, of_pixels[name])
+    finally:
+        engine.close()

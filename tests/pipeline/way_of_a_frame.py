@@ -30,7 +30,7 @@ def files_visited(model: str) -> list[str]:
         if event == "call" and path.is_relative_to(_FOLDER):
             visited.setdefault(path.relative_to(_FOLDER).as_posix())
 
-    with stillray.Denoiser(model, threads=1) as denoiser:
+    with stillray.Denoiser(model, threads=1, precision="float32") as denoiser:
         for frame in (first, second):  # modules are loaded when they are first used
             denoiser.denoise(frame)
         before = sys.getprofile()

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import groupby
 
-import cv2
 import numpy as np
 
 from stillray.arrays.extend import mirrored
 from stillray.arrays.strips import Strips
 from stillray.arrays.workspace import Workspace
 from stillray.families.contract import Engine
-from stillray.models.network_graph import Steps
+from stillray.models.steps import Steps, in_steps, interleaved, rounded
 
 
 class NetworkInput:
@@ -84,8 +82,8 @@ class NetworkInput:
         workspace, shape = self._strips.workspace, planes[0].shape
         integers = workspace.array("planes in steps", (self._count, *shape), np.uint8)
         for plane, step, target in zip(planes, self._steps, integers, strict=True):
-            _round(plane, step, target)
-        _interleave(integers, self.array[0, rows])
+            rounded(plane, step, target, workspace)
+        interleaved(integers, self.array[0, rows])
 
     def mirror(self, height: int, width: int) -> None:
         """Carry on what was filled by its mirror image: the outputs are for light that is."""
@@ -95,41 +93,3 @@ class NetworkInput:
             found[:height, at] = found[:height, place]
         for at, place in enumerate(mirrored(height, found.shape[0])[height:], start=height):
             found[at] = found[place]
-
-
-def in_steps(
-    planes: np.ndarray, steps: Sequence[Steps], out: np.ndarray, workspace: Workspace
-) -> np.ndarray:
-    """Numbers as integers of 8 bits, pixel by pixel.
-
-    Parameters
-    ----------
-    planes : (c, h, w) float32
-        Contiguous; within 2e9 steps of 0, as features are: what is beyond would wrap.
-    steps
-        What the integers of each plane stand for.
-    out : (h, w, c) uint8
-        Contiguous; written and returned.
-    workspace
-        For what lies between.
-    """
-    flat = planes.reshape(len(planes), -1)
-    integers = workspace.array("planes in steps", flat.shape, np.uint8)
-    first = 0
-    for step, alike in groupby(steps):
-        part = slice(first, first := first + len(list(alike)))
-        values, target = flat[part], integers[part]
-        _round(values, step, target)
-    return _interleave(integers, out)
-
-
-def _round(values: np.ndarray, step: Steps, out: np.ndarray) -> None:
-    """Numbers of any shape as integers, in one pass: a product, a sum, rounded and bounded."""
-    cv2.addWeighted(values, 1 / step.scale, values, 0, step.zero, dst=out, dtype=cv2.CV_8U)
-
-
-def _interleave(integers: np.ndarray, out: np.ndarray) -> np.ndarray:
-    """Planes ``(c, ...)`` of integers as pixels, contiguous."""
-    count = len(integers)
-    cv2.transpose(integers.reshape(count, -1), dst=out.reshape(-1, count))
-    return out

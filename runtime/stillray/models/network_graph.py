@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from stillray.models.onnx_file import Graph, Node
+from stillray.models.steps import Steps
 
 #: Of one tensor.
 MAX_PLANES = 1024
@@ -36,22 +37,6 @@ class Planes:
 
     count: int
     reduction: int
-
-
-@dataclass(frozen=True)
-class Steps:
-    """Numbers as integers of 8 bits: ``scale (integer - zero)``, rounded to the nearest, bounded.
-
-    Attributes
-    ----------
-    scale
-        Of one step, > 0.
-    zero
-        The integer that stands for 0, 0 to 255.
-    """
-
-    scale: float
-    zero: int
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from stillray.arrays.watch import INTERVAL, Watch
+from stillray.arrays.workspace import Workspace
 from stillray.errors import InputError
-from stillray.models.network_graph import GraphError, Interface, Steps, interface_of
+from stillray.models.network_graph import GraphError, Interface, interface_of
 from stillray.models.onnx_file import OnnxFile, parse_onnx, read_bytes
 from stillray.models.protobuf import WireError
+from stillray.models.steps import Steps, in_steps
 
 
 def read_checked(path: Path) -> tuple[OnnxFile, Interface]:
@@ -98,7 +100,8 @@ class Network:
             ``"network"``; ``"weights"``, which runs nothing and gives those of the file that may
             be given in their place; or the name of a step.
         inputs
-            Of the network ``"features"``, as `Interface` has them, and weights by name.
+            Of the network ``"features"``, as `Interface` has them or as planes of floats in any
+            case, and weights by name.
 
         Raises
         ------
@@ -119,6 +122,8 @@ class Network:
             known.set_result(held)
             return Running(known, options, self._path)
         opened = None if graph == "network" else self._step(graph)
+        if opened is None and self.feature_steps is not None:
+            inputs = {**inputs, "features": self._pixels(inputs["features"])}
 
         def run() -> dict[str, np.ndarray]:
             session = self._session if opened is None else opened.result()
@@ -126,6 +131,14 @@ class Network:
             return dict(zip(names, session.run(None, dict(inputs), options), strict=True))
 
         return Running(self._thread.submit(run), options, self._path)
+
+    def _pixels(self, features: np.ndarray) -> np.ndarray:
+        """Features as the network takes them: whoever wraps an engine may know planes alone."""
+        if self.feature_steps is None or features.dtype == np.uint8:
+            return features
+        planes = np.ascontiguousarray(features[0], np.float32)
+        out = np.empty((*planes.shape[1:], len(planes)), np.uint8)
+        return in_steps(planes, self.feature_steps, out, Workspace())[None]
 
     def _step(self, graph: str) -> Future[Any]:
         """The session of a step, which is being opened or was."""
