@@ -195,7 +195,8 @@ def confidence(
     kept = _confidence_of_blocks(blocks, bias, window, at_level, strips)
     if kept is None:
         return None, noise
-    return _by_pixel(kept, motion.shape[:2], strips), noise
+    by_pixel = strips.workspace.array("confidence", motion.shape[:2])
+    return _by_pixel(kept, by_pixel, strips), noise
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -280,9 +281,9 @@ def _doubled(plane: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     return cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]]
 
 
-def _by_pixel(kept: np.ndarray, shape: tuple[int, ...], strips: Strips) -> np.ndarray:
-    """`_doubled` of a whole frame."""
-    result = np.empty(shape, np.float32)
+def _by_pixel(kept: np.ndarray, result: np.ndarray, strips: Strips) -> np.ndarray:
+    """`_doubled` of a whole frame, into ``result``."""
+    shape = result.shape
 
     def work(blocks: slice) -> None:
         near, own = with_halo(blocks, 1, len(kept))
