@@ -108,7 +108,6 @@ def take_pixels(graph: onnx.GraphProto) -> None:
     takers: dict[str, list[onnx.NodeProto]] = {}
     for node in graph.node:
         takers.setdefault(next(iter(node.input), ""), []).append(node)
-    left_out: list[str] = []
     for node in list(takers["features"]):
         if node.op_type == "Slice":
             (made,) = takers[node.output[0]]
@@ -118,19 +117,13 @@ def take_pixels(graph: onnx.GraphProto) -> None:
             made, integers = node, "integers"
         if made.op_type != "QuantizeLinear":
             raise InputError(f"features must be made integers, got {made.op_type}")
-        left_out.append(made.name)
         for taken in takers[made.output[0]]:
             taken.input[0] = integers
-    rest = [_copied(node) for node in graph.node if node.name not in left_out]
-    del graph.node[:]
-    graph.node.extend([turned, *rest])
+        graph.node.remove(made)
+    graph.node.insert(0, turned)
     features.CopyFrom(
         helper.make_tensor_value_info("features", TensorProto.UINT8, [1, *size, planes])
     )
-
-
-def _copied(node: onnx.NodeProto) -> onnx.NodeProto:
-    return onnx.NodeProto.FromString(node.SerializeToString())
 
 
 class _Features(CalibrationDataReader):  # type: ignore[misc]

@@ -10,7 +10,7 @@ from stillray.arrays.extend import mirrored
 from stillray.arrays.strips import Strips
 from stillray.arrays.workspace import Workspace
 from stillray.families.contract import Engine
-from stillray.models.steps import Steps, in_steps, interleaved, rounded
+from stillray.models.steps import Steps, in_steps
 
 
 class NetworkInput:
@@ -79,11 +79,7 @@ class NetworkInput:
             for plane, target in zip(planes, self.array[0], strict=True):
                 target[rows] = plane
             return
-        workspace, shape = self._strips.workspace, planes[0].shape
-        integers = workspace.array("planes in steps", (self._count, *shape), np.uint8)
-        for plane, step, target in zip(planes, self._steps, integers, strict=True):
-            rounded(plane, step, target, workspace)
-        interleaved(integers, self.array[0, rows])
+        in_steps(planes, self._steps, self.array[0, rows], self._strips.workspace)
 
     def mirror(self, height: int, width: int) -> None:
         """Carry on what was filled by its mirror image: the outputs are for light that is."""

@@ -122,8 +122,8 @@ class Network:
             known.set_result(held)
             return Running(known, options, self._path)
         opened = None if graph == "network" else self._step(graph)
-        if opened is None and self.feature_steps is not None:
-            inputs = {**inputs, "features": self._pixels(inputs["features"])}
+        if opened is None:
+            inputs = {**inputs, "features": self._taken(inputs["features"])}
 
         def run() -> dict[str, np.ndarray]:
             session = self._session if opened is None else opened.result()
@@ -132,11 +132,11 @@ class Network:
 
         return Running(self._thread.submit(run), options, self._path)
 
-    def _pixels(self, features: np.ndarray) -> np.ndarray:
+    def _taken(self, features: np.ndarray) -> np.ndarray:
         """Features as the network takes them: whoever wraps an engine may know planes alone."""
         if self.feature_steps is None or features.dtype == np.uint8:
             return features
-        planes = np.ascontiguousarray(features[0], np.float32)
+        planes = features[0]
         out = np.empty((*planes.shape[1:], len(planes)), np.uint8)
         return in_steps(planes, self.feature_steps, out, Workspace())[None]
 
