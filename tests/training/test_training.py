@@ -133,6 +133,21 @@ def test_blocks_give_frames_of_more_samples(blocks, small):
     assert np.concatenate(planes)[:, small.network.features.index("samples")].max() > 0.7
 
 
+def test_a_model_of_single_frames_never_sees_a_past(blocks, small):
+    kinds = []
+    for seed in range(6):
+        recipe = dataclasses.replace(small.training, seed=seed, alone=True)
+        examples = load_examples(blocks, dataclasses.replace(small, training=recipe), Strips(1))
+        kinds.append(sorted(each.kind for each in examples))
+        for each in examples:
+            assert each.frames == 1
+            assert not each.previous.any()
+            # a pixel holds this frame's sample and nothing else
+            np.testing.assert_array_equal(each.mean, each.sample)
+    assert set(kinds[0]) == {"noisy", "still", "quiet"}
+    assert all(each == kinds[0] for each in kinds)
+
+
 def test_blocks_give_pasts_whose_light_changes_or_not(blocks, small):
     examples = []
     for seed in range(4):

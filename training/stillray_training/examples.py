@@ -38,6 +38,7 @@ STARTS = (1, 3, 8)  # frames accumulated before the last one is learned from
 #: How examples differ, and how often a patch is of that kind.
 NOISY, STILL, QUIET = "noisy", "still", "quiet"
 _STILLS = 3  # examples of a few samples a pixel, of each sequence that has blocks
+_STILLS_ALONE = 6  # the same, where nothing else is learned from
 _UNEVEN = 2  # and of those whose noise lies in a part of the picture
 _WIDE = 0.3  # share of the others that come through a wider pixel filter
 _QUIETS = 2  # and of hundreds to thousands
@@ -113,7 +114,8 @@ def _all_examples(
     # of its own for every sequence, the same every time
     rng = np.random.default_rng([spec.training.seed, zlib.crc32(sequence.name.encode())])
     examples = []
-    for count in STARTS:
+    alone = spec.training.alone
+    for count in STARTS[:1] if alone else STARTS:
         example = _example(frames[-count:], reference, spec, strips)
         examples.append(replace(example, spp=spp, frames=count))
     blocks = read_blocks(sequence, frames[-1], spp)
@@ -121,12 +123,13 @@ def _all_examples(
         quiet = _example([quiet_frame(frames[-1], reference, rng)], reference, spec, strips)
         return [*examples, replace(quiet, kind=QUIET)]
     whole = mean_frame(blocks)
-    for index, (frame, samples) in enumerate(_stills(blocks, rng, _STILLS + _UNEVEN)):
-        if index >= _STILLS:
+    stills = _STILLS_ALONE if alone else _STILLS
+    for index, (frame, samples) in enumerate(_stills(blocks, rng, stills + _UNEVEN)):
+        if index >= stills:
             assert whole.albedo is not None
             frame = uneven_frame(frame, reference, whole.albedo, rng)
         wanted = reference
-        if index < _STILLS and rng.random() < _WIDE:
+        if index < stills and rng.random() < _WIDE:
             deviation = rng.uniform(*DEVIATIONS)
             frame = frame_through_film(frame, deviation)
             wanted = through_film(reference, deviation)
@@ -134,7 +137,7 @@ def _all_examples(
         examples.append(replace(example, spp=samples, kind=STILL))
     for frame, samples in _quiets(blocks, reference, rng):
         examples.append(_quiet_example(frame, samples, reference, spec, strips, rng))
-    for _ in range(_LIT):
+    for _ in range(0 if alone else _LIT):
         examples.append(_lit_example(blocks, reference, spec, strips, rng))
     return examples
 
@@ -149,7 +152,7 @@ def _quiet_example(
 ) -> Example:
     """A quiet frame, perhaps with fireflies, alone or after frames as quiet without any."""
     shining = rng.random() < _FIREFLIES
-    past = rng.random() < _QUIET_PAST
+    past = not spec.training.alone and rng.random() < _QUIET_PAST
     run = [frame]
     if shining:
         light = fireflies(reference, rng)

@@ -449,6 +449,7 @@ class Training:
     # Whether the network's convolutions run so where the processor can: half the time, less exact
     bfloat16: bool = False
     still_share: float = 0.0  # share of patches of single frames of 2 to 32 samples a pixel, [0, 1]
+    alone: bool = False  # whether no patch has a past: for a model of single frames
     # share of patches of a recurrent model that have neither jitter nor roughness nor specular
     # albedo, as most renderers write them, [0, 1]
     plain_share: float = 0.0
