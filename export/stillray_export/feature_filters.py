@@ -23,11 +23,15 @@ from stillray.model_spec import ModelSpec
 from stillray.models.precision import int8_path
 from stillray.models.registry import WHOLE_SUFFIX, require_fit
 from stillray.models.session import checked
-from stillray_export.parity import IMAGE_TOLERANCE, NETWORK_TOLERANCE, SIZES, ParityError
+from stillray_export.parity import (
+    IMAGE_TOLERANCE,
+    SIZES,
+    check_networks,
+    note,
+    random_features,
+)
 from stillray_training.decoders import feature_filters as twin
 from stillray_training.networks.fuse import fuse
-from stillray_training.networks.multi_branch import multi_branch_net
-from stillray_training.networks.repvgg import by_branches
 from stillray_training.onnx_graph import (
     axes_of,
     example_features,
@@ -110,38 +114,24 @@ def check(
     sessions = [
         ort.InferenceSession(graph, providers=["CPUExecutionProvider"]) for graph in (alone, whole)
     ]
-    exact = multi_branch_net(spec).double()
-    exact.load_state_dict({name: value.double() for name, value in network.state_dict().items()})
     worst: dict[str, float] = {}
+    model = FeatureFiltersModel(spec)
     for index, size in enumerate(SIZES):
-        multiple = FeatureFiltersModel(spec).alignment
-        height, width = (-(-pixels // multiple) * multiple for pixels in size)
+        height, width = (-(-pixels // model.alignment) * model.alignment for pixels in size)
         rng = np.random.default_rng(index)
-        features = rng.uniform(-1, 1, (1, len(spec.network.features), height, width))
-        features = features.astype(np.float32)
-        given = torch.from_numpy(features)
-        with torch.no_grad(), by_branches(exact), by_branches(network):
-            oracle = [part.numpy() for part in exact(given.double())]
-            forms = {"branches planes": [part.numpy() for part in network(given)]}
-        with torch.no_grad():
-            forms["fused planes"] = [part.numpy() for part in fused(given)]
-        forms["onnx planes"] = sessions[0].run(None, {"features": features})
-        bound = FeatureFiltersModel(spec).rules.filters.logit_bound
-        for name, values in forms.items():
-            for value, expected in zip(values, oracle, strict=True):
-                limit = np.clip(expected, -bound, bound) if name == "onnx planes" else expected
-                unit = np.abs(expected).max() + 1e-30
-                _note(worst, name, value, limit, NETWORK_TOLERANCE, unit)
+        features = random_features(rng, spec, height, width)
+        bound = model.rules.filters.logit_bound
+        given = check_networks(network, fused, sessions[0], features, bound, worst)
         arrays = random_arrays(rng, height, width)
         for scale in (1.0, 1e3):  # 1e3: logits far beyond the bound
-            planes = [(part * scale).astype(np.float32) for part in forms["onnx planes"]]
+            planes = [(part * scale).astype(np.float32) for part in given]
             results = decoded(arrays, planes, spec)
             if scale == 1.0:
                 results["whole graph"] = sessions[1].run(None, {"features": features, **arrays})
             wanted = results.pop("oracle")
             for name, parts in results.items():
                 for part, expected in zip(parts, wanted, strict=True):
-                    _note(worst, name, part, expected, IMAGE_TOLERANCE, np.abs(expected) + 1e-6)
+                    note(worst, name, part, expected, IMAGE_TOLERANCE, np.abs(expected) + 1e-6)
     return worst
 
 
@@ -188,20 +178,3 @@ def decoded(
         "torch decoder": in_torch(torch.float32),
         "runtime decoder": [part.transpose(2, 0, 1)[None] for part in parts],
     }
-
-
-def _note(
-    worst: dict[str, float],
-    name: str,
-    value: np.ndarray,
-    oracle: np.ndarray,
-    tolerance: float,
-    unit: np.ndarray | float,
-) -> None:
-    error = float((np.abs(value - oracle) / unit).max())
-    worst[name] = max(worst.get(name, 0.0), error)
-    if not error <= tolerance:  # NaN fails too
-        raise ParityError(
-            f"{name} must agree with float64 within {tolerance:g}, got {error:g} at "
-            f"{value.shape[2:]}"
-        )

@@ -7,6 +7,7 @@ extreme.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 
 import cv2
@@ -77,34 +78,15 @@ def check(
     ]
     family = FAMILIES[spec.family]
     multiple = kernels_of(spec).looks.alignment
-    exact = family.network(spec).double()
-    exact.load_state_dict({name: value.double() for name, value in network.state_dict().items()})
+    bound = getattr(spec.decoder, "logit_bound", None)
     for index, size in enumerate(SIZES):
         height, width = (-(-pixels // multiple) * multiple for pixels in size)
         rng = np.random.default_rng(index)
-        features = rng.uniform(-1, 1, (1, len(spec.network.features), height, width))
-        features = features.astype(np.float32)
-        given = torch.from_numpy(features)
+        features = random_features(rng, spec, height, width)
         arrays = random_arrays(rng, height, width)
-        with torch.no_grad(), by_branches(exact), by_branches(network):
-            oracle = _listed(exact(given.double()))
-            forms = {"branches logits": _listed(network(given))}
-        with torch.no_grad():
-            forms["merged logits"] = _listed(network(given))
-            forms["fused logits"] = _listed(fused(given))
-        forms["onnx logits"] = sessions[0].run(None, {"features": features})
-        bound = getattr(spec.decoder, "logit_bound", None)
-        for name, values in forms.items():
-            for value, expected in zip(values, oracle, strict=True):
-                if name == "onnx logits" and bound is not None:
-                    expected = np.clip(expected, -bound, bound)
-                unit = np.abs(expected).max() + 1e-30
-                tolerance = MOST_ROUNDING
-                if name != "branches logits":
-                    tolerance = max(NETWORK_TOLERANCE, ROUNDING * worst["branches logits"])
-                _note(worst, name, value, expected, tolerance, (height, width), unit)
+        given = check_networks(network, fused, sessions[0], features, bound, worst)
         for scale in (1.0, 1e4):  # 1e4: logits far beyond the bound
-            logits = [(level * scale).astype(np.float32) for level in forms["onnx logits"]]
+            logits = [(level * scale).astype(np.float32) for level in given]
             images = decoded(arrays, logits, spec)
             if scale == 1.0:
                 feed = {"features": features, **{name: arrays[name] for name in family.inputs}}
@@ -112,8 +94,70 @@ def check(
             expected = images.pop("oracle")
             unit = image_unit(arrays, expected, spec)
             for name, image in images.items():
-                _note(worst, name, image, expected, IMAGE_TOLERANCE, (height, width), unit)
+                note(worst, name, image, expected, IMAGE_TOLERANCE, unit)
     return worst
+
+
+def check_networks(
+    network: nn.Module,
+    fused: nn.Module,
+    session: ort.InferenceSession,
+    features: np.ndarray,
+    bound: float | None,
+    worst: dict[str, float],
+) -> list[np.ndarray]:
+    """Compare all forms of a network on the same features.
+
+    Parameters
+    ----------
+    network, fused
+        As trained, with branches; and one convolution a block.
+    session
+        Of the graph that holds the network alone.
+    features : (1, planes, h, w) float32
+        Its input.
+    bound
+        That the graph clips its outputs to; None for none.
+    worst
+        Form to its worst relative error, written.
+
+    Returns
+    -------
+    list of (1, planes, h, w) float32
+        What the graph gave.
+
+    Raises
+    ------
+    ParityError
+        A form is beyond its tolerance.
+    """
+    given = torch.from_numpy(features)
+    exact = copy.deepcopy(network).double()
+    with torch.no_grad(), by_branches(exact), by_branches(network):
+        oracle = _listed(exact(given.double()))
+        forms = {"branches logits": _listed(network(given))}
+    with torch.no_grad():
+        forms["merged logits"] = _listed(network(given))
+        forms["fused logits"] = _listed(fused(given))
+    forms["onnx logits"] = session.run(None, {"features": features})
+    for name, values in forms.items():
+        for value, expected in zip(values, oracle, strict=True):
+            unit = np.abs(expected).max() + 1e-30
+            if name == "onnx logits" and bound is not None:
+                expected = np.clip(expected, -bound, bound)
+            tolerance = MOST_ROUNDING
+            if name != "branches logits":
+                tolerance = max(NETWORK_TOLERANCE, ROUNDING * worst["branches logits"])
+            note(worst, name, value, expected, tolerance, unit)
+    return forms["onnx logits"]
+
+
+def random_features(
+    rng: np.random.Generator, spec: ModelSpec, height: int, width: int
+) -> np.ndarray:
+    """What a network reads, ``(1, planes, h, w)`` float32 in [-1, 1]."""
+    shape = (1, len(spec.network.features), height, width)
+    return rng.uniform(-1, 1, shape).astype(np.float32)
 
 
 def image_unit(arrays: Mapping[str, np.ndarray], image: np.ndarray, spec: ModelSpec) -> np.ndarray:
@@ -199,18 +243,25 @@ def _listed(outputs: Tensor | Sequence[Tensor]) -> list[np.ndarray]:
     return [part.numpy() for part in parts]
 
 
-def _note(
+def note(
     worst: dict[str, float],
     name: str,
     value: np.ndarray,
     oracle: np.ndarray,
     tolerance: float,
-    size: tuple[int, int],
     unit: np.ndarray | float,
 ) -> None:
+    """Remember the largest error of a form, in a unit.
+
+    Raises
+    ------
+    ParityError
+        It is beyond the tolerance, or not a number.
+    """
     error = float((np.abs(value - oracle) / unit).max())
     worst[name] = max(worst.get(name, 0.0), error)
     if not error <= tolerance:  # NaN fails too
         raise ParityError(
-            f"{name} must agree with float64 within {tolerance:g}, got {error:g} at {size}"
+            f"{name} must agree with float64 within {tolerance:g}, got {error:g} at "
+            f"{value.shape[2:]}"
         )

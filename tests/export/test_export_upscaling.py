@@ -114,9 +114,9 @@ def test_another_network_than_the_file_s_is_noticed(spec, exported):
     network, path = exported
     graphs = [path.read_bytes(), path.with_name("munet-x2.whole.onnx").read_bytes()]
     worst = feature_filters.check(network, fuse(network), *graphs, spec)
-    assert {"branches planes", "onnx planes", "runtime decoder", "whole graph"} <= set(worst)
+    assert {"branches logits", "onnx logits", "runtime decoder", "whole graph"} <= set(worst)
     other = fuse(network)
     with torch.no_grad():
         other.heads[0].bias += 1e-2
-    with pytest.raises(ParityError, match="fused planes must agree with float64"):
+    with pytest.raises(ParityError, match="fused logits must agree with float64"):
         feature_filters.check(network, other, *graphs, spec)
