@@ -27,7 +27,7 @@ from stillray.families.contract import Family, Keeps
 from stillray.frame import check_samples
 from stillray.io.channels.motion_detection import Detection
 from stillray.io.image_file import is_float_map
-from stillray.models.registry import DEFAULT_MODEL, ModelInfo
+from stillray.models.registry import DEFAULT_MODEL, ModelInfo, with_overrides
 from stillray.models.session import Provider
 from stillray.pipeline.opening import family_of_model, model_of, network_path
 
@@ -73,6 +73,8 @@ class ShotOptions:
     precision
         Numbers that the network computes in, as `stillray.Denoiser` takes it. ``"auto"`` is
         ``"float32"`` with a scheduler, whose machines may differ.
+    passes
+        How often the network looks at a frame, as `stillray.Denoiser` takes it.
     max_memory
         Bytes that the process should stay below; None for whole frames. Of files with several
         views each takes its share.
@@ -101,6 +103,7 @@ class ShotOptions:
     threads: int | None = None
     providers: tuple[Provider, ...] | None = None
     precision: str = "auto"
+    passes: int = 1
     max_memory: int | None = None
     state: str | None = None
     workers: int | None = None
@@ -347,6 +350,8 @@ def plan_run(
     changing = {"temporal": temporal, "cuts": cuts, **layout.options()}
     if precision != "float32":
         changing["precision"] = precision
+    if options.passes != 1:
+        changing["passes"] = options.passes
     recipe = Recipe(model=chosen.name, model_digest=file_digest(network), options=changing)
     done = [False] * len(jobs)
     if options.resume and (look or not options.in_chunks):
@@ -361,6 +366,7 @@ def plan_run(
         threads=options.threads,
         providers=options.providers,
         precision=precision,
+        passes=options.passes,
         max_memory=options.max_memory,
         state=None if options.state is None else _state(options.state, chosen, family, layout),
     )
@@ -392,6 +398,8 @@ def _check_outputs(jobs: Sequence[ShotFrame], layout: Layout, *, resume: bool) -
 def _opened(name: str, options: ShotOptions) -> tuple[ModelInfo, Family]:
     """A model and its family; what it can never do is refused before a frame is run."""
     model = model_of(name)
+    if options.passes != 1:
+        model = with_overrides(model, passes=options.passes)
     family = family_of_model(model, options.providers)
     if options.aovs is not None and not family.traits.linear:
         raise InputError(

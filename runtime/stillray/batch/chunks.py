@@ -47,7 +47,7 @@ class ShotSettings:
         Of the denoiser; None for all that there are.
     providers
         Of the denoiser; None for the CPU.
-    precision
+    precision, passes
         Of the denoiser.
     max_memory
         Bytes, see `stillray.Denoiser`.
@@ -64,6 +64,7 @@ class ShotSettings:
     threads: int | None = None
     providers: tuple[Provider, ...] | None = None
     precision: str = "float32"
+    passes: int = 1
     max_memory: int | None = None
     state: Path | None = None
 
@@ -105,6 +106,7 @@ class ShotSettings:
             threads=self.threads,
             providers=self.providers,
             precision=self.precision,
+            passes=self.passes,
             temporal=self.temporal,
             max_memory=most,
         ) as denoiser:

@@ -151,6 +151,13 @@ def denoise(
             "auto takes that on processors that are faster with it, but not with --scheduler."
         ),
     ] = "auto",
+    passes: Annotated[
+        int,
+        typer.Option(
+            help="How often the network looks at a frame, mirrored otherwise each time, 1 to 4: "
+            "the mean of the pictures is better. Each takes about as long as the first."
+        ),
+    ] = 1,
     max_memory: Annotated[
         str | None,
         typer.Option(
@@ -234,6 +241,7 @@ def denoise(
         threads=threads,
         providers=tuple(provider) if provider else None,
         precision=precision,
+        passes=passes,
         max_memory=None if max_memory is None else parse_memory(max_memory),
         state=state,
         workers=workers,

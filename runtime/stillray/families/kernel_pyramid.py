@@ -26,9 +26,16 @@ from stillray.families.box_filter import bounded_exp, box_means
 from stillray.families.cost import kernel_pyramid_cost
 from stillray.families.depth_to_space import DepthToSpace
 from stillray.families.finest_filters import filter_finest
-from stillray.families.pyramid_logits import NEIGHBOURS, LevelLayout, level_layout, numbers
+from stillray.families.pyramid_logits import (
+    NEIGHBOURS,
+    LevelLayout,
+    level_layout,
+    numbers,
+    seen_from,
+)
 from stillray.families.pyramid_upsample import Doubled
 from stillray.families.temporal_kernels import Looks, TemporalKernels
+from stillray.families.views import View
 from stillray.model_spec.loader import ModelSpec, PyramidKernels, PyramidNetwork
 from stillray.stages.features import luminance_of_planes
 from stillray.stages.state import Filterable
@@ -63,6 +70,7 @@ class KernelPyramidModel(TemporalKernels):
         self._levels = spec.network.resolutions
         self.method = f"kernels at {self._levels} resolutions, resolved with the last output"
         self.cost = kernel_pyramid_cost(self._levels, spec.decoder)
+        self.passes = spec.decoder.passes
         # doubling looks into the neighbouring cell: 1.5 cells of every level above the finest,
         # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, and the resolve
         radii = (size // 2 for size in spec.decoder.kernel_sizes)
@@ -93,6 +101,19 @@ class KernelPyramidModel(TemporalKernels):
         toned = frozen[0] if frozen else None
         with timed(timings, "reconstruct"):
             return filter_pyramid(light, logits, self._options, strips, toned)
+
+    def seen_from(self, view: View, outputs: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Logits of a mirrored frame as those of the frame, see `TemporalKernels`."""
+        found = []
+        for level, given in enumerate(outputs):
+            places = seen_from(view, level, self._levels, self._options)
+            if len(given) == len(places):
+                found.append(view.of(given[places]))
+                continue
+            # the finest, by blocks of 2x2 pixels
+            blocks = given.reshape(len(places), 2, 2, *given.shape[1:])[places]
+            found.append(view.of(view.of(blocks, (1, 2))).reshape(given.shape))
+        return found
 
     def frozen(
         self, light: Filterable, outputs: Sequence[np.ndarray], strips: Strips

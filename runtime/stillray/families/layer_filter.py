@@ -18,6 +18,7 @@ import numpy as np
 from stillray.arrays.strips import Strips, interleave, planes_of
 from stillray.arrays.workspace import Workspace
 from stillray.families.contract import Context
+from stillray.families.views import mean_picture
 from stillray.model_spec.loader import ModelSpec
 from stillray.stages import accumulate as acc
 from stillray.stages import previous_output
@@ -63,7 +64,7 @@ class FilteredLayers:
     plan, prepared
         The frame as it was planned, and prepared with its ``sample``.
     outputs
-        Of the network.
+        Of the network, for each view of the frame whose pictures were averaged.
     context
         Where the work runs.
     """
@@ -73,7 +74,7 @@ class FilteredLayers:
         kernels: Kernels,
         plan: TemporalPlan,
         prepared: Prepared,
-        outputs: Sequence[np.ndarray],
+        outputs: Sequence[Sequence[np.ndarray]],
         context: Context,
     ) -> None:
         self._kernels, self._plan, self._prepared = kernels, plan, prepared
@@ -98,7 +99,9 @@ class FilteredLayers:
             remodulation_albedo=None if irradiance else prepared.remodulation_albedo,
             previous=self._previous(name),
         )
-        image = self._kernels.reconstruct(own, self._frozen, self._strips, {})
+        image = mean_picture(
+            self._kernels.reconstruct(own, outputs, self._strips, {}) for outputs in self._frozen
+        )
         if self._plan.wants.temporal:
             output: np.ndarray | None = None
             if self._plan.wants.previous_output:
@@ -182,9 +185,9 @@ class FilteredLayers:
         return self._sample[3] if weight is None else weight
 
     @cached_property
-    def _frozen(self) -> Sequence[np.ndarray]:
+    def _frozen(self) -> list[Sequence[np.ndarray]]:
         light = filterable(self._prepared, None)
-        return self._kernels.frozen(light, self._outputs, self._strips)
+        return [self._kernels.frozen(light, each, self._strips) for each in self._outputs]
 
     @cached_property
     def _factor(self) -> np.ndarray:

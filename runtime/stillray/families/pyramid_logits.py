@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from stillray.families.views import View
 from stillray.model_spec.loader import PyramidKernels
 
 #: Neighbours of a pixel in the order of their logits: (rows down, columns right).
@@ -124,6 +125,28 @@ def logit_names(level: int, levels: int, options: PyramidKernels) -> list[str]:
         for use, given in names.items()
         for name in given[: counted[use].stop - counted[use].start]
     ]
+
+
+def seen_from(view: View, level: int, levels: int, options: PyramidKernels) -> list[int]:
+    """Where the planes of a level's logits are to be found in those of a frame seen otherwise.
+
+    A neighbour to the left is one to the right there, and the finer pixel at the top left one at
+    the bottom right.
+    """
+    layout = level_layout(level, levels, options)
+    places = np.arange(layout.filters.stop)
+    signs = np.array([-1 if view.rows else 1, -1 if view.columns else 1])
+    others = [NEIGHBOURS.index((down, right)) for down, right in signs * np.array(NEIGHBOURS)]
+    count = len(NEIGHBOURS)
+    eights = [layout.around.start + index * count for index in range(len(layout.distances))]
+    if level == 0:
+        eights.append(layout.resolve.start)
+    for start in eights:
+        places[start : start + count] = [start + other for other in others]
+    if level > 0:
+        double = places[layout.double].reshape(2, 2, 2)  # beside or above; row, column
+        places[layout.double] = view.of(double).ravel()
+    return [int(place) for place in places]
 
 
 def numbers(logits: Sequence[np.ndarray]) -> list[np.ndarray]:

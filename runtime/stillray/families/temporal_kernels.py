@@ -7,7 +7,7 @@ and how far that looks.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
@@ -20,6 +20,7 @@ from stillray.arrays.watch import Watch
 from stillray.families.contract import Context, Request, State, Step, Traits
 from stillray.families.layer_filter import FilteredLayers
 from stillray.families.network_input import NetworkInput
+from stillray.families.views import VIEWS, View, mean_picture
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
 from stillray.stages import features, previous_output
@@ -95,6 +96,8 @@ class TemporalKernels(ABC):
     method: str
     #: Operations and float32 planes moved by the reconstruction, a pixel.
     cost: tuple[float, float]
+    #: Views of a frame whose pictures are averaged; more than one where there is `seen_from`.
+    passes = 1
 
     @abstractmethod
     def reconstruct(
@@ -117,6 +120,10 @@ class TemporalKernels(ABC):
         timings
             ``"reconstruct"``, and ``"remodulate"`` where that is a pass of its own.
         """
+
+    def seen_from(self, view: View, outputs: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """The network's outputs for a frame, of those for what a view of it is."""
+        raise NotImplementedError
 
     def frozen(
         self, light: Filterable, outputs: Sequence[np.ndarray], strips: Strips
@@ -161,7 +168,7 @@ class TemporalKernels(ABC):
             why_remember = "no next frame looks at this one's output"
         return [
             Stage("encode", True, f"{len(self.spec.network.features)} planes for the network"),
-            Stage("network", True, self.spec.name),
+            Stage("network", True, self.spec.name + _views_told(self.passes)),
             Stage("reconstruct", True, self.method),
             Stage("upscale", False, "the model's scale is 1"),
             Stage("remodulate", modulates, why),
@@ -174,15 +181,14 @@ class TemporalKernels(ABC):
         assert isinstance(plan, KernelPlan)
         early = plan.before_network
         prepared, previous = self.prepare(plan, context)
-        outputs: list[np.ndarray] = []
+        outputs: list[list[np.ndarray]] = []
         if len(plan.tiles) > 1:
             image = self._tiled(prepared, previous, plan.tiles, context)
         else:
-            outputs = self._outputs(prepared, previous, context)
-            light = filterable(prepared, previous)
-            image = self.reconstruct(light, outputs, context.strips, context.timings)
+            keep = outputs if plan.runs("layers") else None
+            image = self._picture(prepared, previous, context, keep)
         layers: FilteredLayers | None = None
-        if plan.runs("layers") and outputs:
+        if outputs:
             layers = FilteredLayers(self, early, prepared, outputs, context)
 
         def finish() -> State:
@@ -220,20 +226,41 @@ class TemporalKernels(ABC):
         for tile in tiles:
             past = None if previous is None else np.ascontiguousarray(previous[tile.outer])
             part = crop(prepared, tile, context.strips.watch)
-            outputs = self._outputs(part, past, context)
-            light = filterable(part, past)
-            found = self.reconstruct(light, outputs, context.strips, context.timings)
+            found = self._picture(part, past, context)
             image[tile.inner] = found[tile.within]
         return image
 
-    def _outputs(
-        self, prepared: Prepared, previous: np.ndarray | None, context: Context
-    ) -> list[np.ndarray]:
-        """What the network says of a prepared frame."""
-        assert context.engine is not None
+    def _picture(
+        self,
+        prepared: Prepared,
+        previous: np.ndarray | None,
+        context: Context,
+        keep: list[list[np.ndarray]] | None = None,
+    ) -> np.ndarray:
+        """A prepared frame's radiance; what the network says of each view of it is put in a list.
+
+        No two views' outputs are held at a time unless they are kept.
+        """
+        light = filterable(prepared, previous)
         planes = self._encode(prepared, previous, context)
+
+        def pictures() -> Iterator[np.ndarray]:
+            for view in VIEWS[: self.passes]:
+                outputs = self._outputs(planes, view, context)
+                if keep is not None:
+                    keep.append(outputs)
+                yield self.reconstruct(light, outputs, context.strips, context.timings)
+
+        return mean_picture(pictures())
+
+    def _outputs(self, planes: np.ndarray, view: View, context: Context) -> list[np.ndarray]:
+        """What the network says of its input, given to it as a view of it."""
+        assert context.engine is not None
         with timed(context.timings, "network"):
-            return list(context.engine.run("network", {"features": planes}).values())
+            axes = (1, 2) if planes.dtype == np.uint8 else (2, 3)
+            given = view.of(planes, axes)
+            outputs = list(context.engine.run("network", {"features": given}).values())
+            return outputs if view == View() else self.seen_from(view, outputs)
 
     def _encode(
         self, prepared: Prepared, previous: np.ndarray | None, context: Context
@@ -316,6 +343,10 @@ class KernelPlan(Plan):
 
     before_network: TemporalPlan
     tiles: tuple[Tile, ...] = ()
+
+
+def _views_told(passes: int) -> str:
+    return "" if passes == 1 else f", {passes} times: the mean of what it makes of mirrored frames"
 
 
 def history_of(state: object) -> History | None:

@@ -255,6 +255,10 @@ class PyramidNetwork:
         return len(self.widths) + self.block - 1
 
 
+#: Views of a frame, of which each costs a run of the network.
+MOST_PASSES = 4
+
+
 @dataclass(frozen=True, kw_only=True)
 class PyramidKernels(Decoder):
     """Weight-sharing kernels at several resolutions, then a resolve with the previous output."""
@@ -274,9 +278,12 @@ class PyramidKernels(Decoder):
     # In the resolve a neighbour brighter than the pixel weighs (1 + tone x) / (1 + tone y) of what
     # the network says, x and y being the exposed luminance of pixel and neighbour; 0: all of it.
     resolve_tone: float = 0.0
+    # Views of a frame whose pictures are averaged, 1 to 4, see `stillray.families.views`.
+    passes: int = 1
 
     def __post_init__(self) -> None:
         _kernels(self.kernel_sizes)
+        _within("decoder.passes", self.passes, 1, MOST_PASSES)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
         _within("decoder.resolve_tone", self.resolve_tone, 0, _MOST_TONE)
         _each("decoder.finest_neighbours", self.finest_neighbours, 1, _MAX_WINDOW // 2)

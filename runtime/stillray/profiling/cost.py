@@ -81,6 +81,11 @@ def stage_costs(info: ModelInfo, frame: Frame, precision: str = "float32") -> di
     elif isinstance(family, TemporalKernels):
         network = _network(info, height, width, family.traits.tile_alignment)
         stages = _each_pixel(family, frame)
+        operations, planes = stages["reconstruct"]
+        stages["reconstruct"] = (family.passes * operations, family.passes * planes)
+        network = Cost(
+            operations=family.passes * network.operations, bytes=family.passes * network.bytes
+        )
     elif isinstance(family, OnlineModel):
         network = _network(info, height, width, family.alignment)
         stages = family.costs

@@ -47,6 +47,7 @@ class Setting:
     threads: int
     provider: str | None = None
     temporal: bool = True
+    passes: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,6 +179,7 @@ def open_denoiser(setting: Setting) -> Denoiser:
         threads=setting.threads,
         providers=[setting.provider] if setting.provider else None,
         temporal=setting.temporal,
+        passes=setting.passes,
     )
 
 

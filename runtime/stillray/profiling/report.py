@@ -19,6 +19,8 @@ def title(result: Result) -> str:
     """What was measured, in a line."""
     setting = result.run.setting
     options = "" if setting.temporal else ", each frame alone"
+    if setting.passes > 1:
+        options += f", {setting.passes} passes"
     provider = f", {setting.provider}" if setting.provider else ""
     return (
         f"{result.run.info.name}, {setting.width} x {setting.height}, "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +16,8 @@ from stillray.cli import program
 from stillray.compare.metrics import METRICS
 from stillray.errors import InputError
 from stillray.io.atomic import atomic_path
-from stillray.models.registry import find_model, list_models
+from stillray.model_spec.loader import PyramidKernels
+from stillray.models.registry import ModelInfo, find_model, list_models, with_overrides
 from stillray_training.evaluate.cases import KINDS, Case, find_cases, titles
 from stillray_training.evaluate.methods import NOISY, choose_peers, left_out
 from stillray_training.evaluate.report import report as page
@@ -36,6 +37,9 @@ def main(
         list[str] | None,
         typer.Option(help="Model, .onnx, or LABEL=one of them; repeatable; default: all."),
     ] = None,
+    passes: Annotated[
+        int, typer.Option(help="Run each model with so many passes too, where it can.")
+    ] = 1,
     peer: Annotated[
         list[str] | None,
         typer.Option(help=f"{', '.join(_PEER_NAMES)}; repeatable; default: installed."),
@@ -59,9 +63,9 @@ def main(
 ) -> None:
     """Print every set's metrics, and where a model's picture is worse than its input."""
     given = model or [info.name for info in list_models()]
-    models = {text.split("=")[0]: text.split("=")[-1] for text in given}
-    for name in models.values():
-        find_model(name)
+    models = with_passes(
+        {text.split("=")[0]: find_model(text.split("=")[-1]) for text in given}, passes
+    )
     named = peer if peers else []
     chosen = choose_peers(named)
     names = _listed(metrics, "metrics", _METRIC_NAMES) if metrics else None
@@ -86,6 +90,16 @@ def main(
     if out:
         with atomic_path(out) as temporary:
             temporary.write_text(json.dumps(results, indent=1))
+
+
+def with_passes(models: Mapping[str, ModelInfo], passes: int) -> dict[str, ModelInfo]:
+    """Models by label, and after each that can look at a frame several times, itself doing so."""
+    found: dict[str, ModelInfo] = {}
+    for label, info in models.items():
+        found[label] = info
+        if passes > 1 and isinstance(info.spec.decoder, PyramidKernels):
+            found[f"{label}, {passes} passes"] = with_overrides(info, passes=passes)
+    return found
 
 
 def find_all(

@@ -13,12 +13,15 @@ from stillray.arrays.strips import Strips
 from stillray.compare.metrics import METRICS
 from stillray.errors import InputError
 from stillray.frame import Frame
-from stillray.models.registry import find_model
+from stillray.models.registry import ModelInfo
 from stillray.pipeline.denoiser import Denoiser
+from stillray.pipeline.opening import model_of
 from stillray.stages.prepare import History, prepare
 from stillray_training.evaluate.cases import Case
 from stillray_training.peers import PEERS, Peer, PeerDenoiser, find_peer
 
+#: Label to model, as `stillray.Denoiser` takes it.
+Models = Mapping[str, str | ModelInfo]
 NOISY, ACCUMULATED = "noisy", "accumulated"
 
 
@@ -38,7 +41,7 @@ class Methods:
         Names of peers to run too, see `stillray_training.peers.PEERS`.
     """
 
-    def __init__(self, models: Mapping[str, str], peers: Sequence[str]) -> None:
+    def __init__(self, models: Models, peers: Sequence[str]) -> None:
         self.models = dict(models)
         self.peers = [find_peer(name) for name in peers]
         self._open = ExitStack()
@@ -128,9 +131,9 @@ def run_stream(
     return images[-count:], milliseconds
 
 
-def accumulate_frames(frames: Sequence[Frame], model: str) -> list[np.ndarray]:
+def accumulate_frames(frames: Sequence[Frame], model: str | ModelInfo) -> list[np.ndarray]:
     """Radiance of each frame as a model's kernels get it: accumulated, not filtered."""
-    spec = find_model(model).spec
+    spec = model_of(model).spec
     history: History | None = None
     images = []
     for frame in frames:

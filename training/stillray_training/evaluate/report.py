@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from stillray.compare.metrics import METRICS, Metric
 from stillray.models.registry import find_model
+from stillray.pipeline.opening import model_of
+from stillray_training.evaluate.methods import Models
 from stillray_training.evaluate.scores import (
     BIAS_ALLOWED,
     Results,
@@ -43,7 +45,7 @@ Every frame and metric by which a model's picture is worse than the noisy one th
 """
 
 
-def report(results: Results, kinds: Mapping[str, str], models: Mapping[str, str]) -> str:
+def report(results: Results, kinds: Mapping[str, str], models: Models) -> str:
     """The page of results.
 
     Parameters
@@ -58,7 +60,7 @@ def report(results: Results, kinds: Mapping[str, str], models: Mapping[str, str]
     return _HEAD + trained(models) + sections(results, kinds, models)
 
 
-def sections(results: Results, kinds: Mapping[str, str], models: Mapping[str, str]) -> str:
+def sections(results: Results, kinds: Mapping[str, str], models: Models) -> str:
     """A section a set, and what is worse than the input."""
     parts = []
     for title, scores in results.items():
@@ -97,11 +99,11 @@ def _distance(metric: Metric, mine: Mapping[str, float], other: Mapping[str, flo
     return f"**{apart}**" if metric.loss(a) > metric.loss(b) else apart
 
 
-def trained(models: Mapping[str, str]) -> str:
+def trained(models: Models) -> str:
     """A line that says for how many steps each model was trained, each recipe in its turn."""
     shown = []
     for label, model in models.items():
-        part = find_model(model).provenance
+        part = model_of(model).provenance
         counts: list[str] = []
         while part:
             counts.insert(0, str(part.get("steps", "")))

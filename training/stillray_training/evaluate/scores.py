@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise
 from pathlib import Path
@@ -15,7 +15,7 @@ from stillray.compare.metrics import METRICS, Metric
 from stillray.compare.warping import Followed
 from stillray.frame import Frame
 from stillray_training.evaluate.cases import Case
-from stillray_training.evaluate.methods import NOISY, Methods
+from stillray_training.evaluate.methods import NOISY, Methods, Models
 
 Scores = dict[str, dict[str, dict[str, float]]]  # method -> case -> metric -> value
 Results = dict[str, Scores]  # title of a set -> its scores
@@ -25,7 +25,7 @@ BIAS_ALLOWED = 1.0
 
 def evaluate_cases(
     cases: Sequence[Case],
-    models: Mapping[str, str],
+    models: Models,
     *,
     peers: Sequence[str],
     names: Collection[str] | None = None,
