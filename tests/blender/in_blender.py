@@ -100,11 +100,11 @@ def picture(path: Path) -> np.ndarray:
     return np.stack([planes[f"ViewLayer.Combined.{c}"] for c in "RGB"], axis=-1)
 
 
-def by_the_api(folder: Path, *, temporal: bool) -> list[np.ndarray]:
+def by_the_api(folder: Path, *, temporal: bool, ensemble: int = 1) -> list[np.ndarray]:
     """What stillray itself makes of saved renders."""
     import stillray
 
-    with stillray.Denoiser("high", temporal=temporal) as denoiser:
+    with stillray.Denoiser("high", temporal=temporal, ensemble=ensemble) as denoiser:
         return [denoiser.denoise(stillray.read_exr(p)) for p in sorted(folder.glob("*.exr"))]
 
 
@@ -155,6 +155,10 @@ def try_hook_and_operator() -> None:
     found["hook, other passes"] = others_differ(noisy, clean)
     scene.stillray.temporal = False
     found["alone"] = worst(by_the_api(noisy, temporal=False), animation(scene, "alone"))
+    scene.stillray.ensemble = 2
+    both = by_the_api(noisy, temporal=False, ensemble=2)
+    found["ensemble"] = worst(both, animation(scene, "ensemble"))
+    scene.stillray.ensemble = 1
     scene.stillray.temporal = scene.render.use_persistent_data = True
     found["data kept"] = worst(want, animation(scene, "kept"))
     scene.cycles.use_auto_tile, scene.cycles.tile_size = True, 32

@@ -57,7 +57,7 @@ def test_rendered_frames_are_what_the_api_makes_of_noisy_ones(found):
     assert found["hook, half"] < HALF
 
 
-@pytest.mark.parametrize("how", ["alone", "data kept", "tiled", "bare"])
+@pytest.mark.parametrize("how", ["alone", "ensemble", "data kept", "tiled", "bare"])
 def test_also_in_other_renders(found, how):
     assert found[how] < 1e-6
 

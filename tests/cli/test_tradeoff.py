@@ -196,10 +196,10 @@ def test_the_table_ends_with_advice_for_every_metric(folder, capsys):
     assert any(line.startswith("SMAPE: for ") for line in lines)
 
 
-def test_passes_are_an_option_of_the_models_that_can():
+def test_an_ensemble_is_an_option_of_the_models_that_can():
     labels = {option.label for option in tradeoff.model_options("kpyr-5s")}
-    assert {"kpyr-5s, 2 passes", "kpyr-5s, 4 passes"} <= labels
-    assert not any("passes" in o.label for o in tradeoff.model_options("wskp-3s"))
+    assert {"kpyr-5s, ensemble of 2", "kpyr-5s, ensemble of 4"} <= labels
+    assert not any("ensemble" in o.label for o in tradeoff.model_options("wskp-3s"))
 
 
 def test_threads_change_no_picture_and_are_scored_once(monkeypatch):

@@ -68,12 +68,12 @@ def mirrored(frame, view):
 def test_a_mean_over_all_views_does_not_care_how_a_frame_is_held(model, view):
     frames = [make_frame(48, 64, seed=index, shift=1.5) for index in range(FRAMES)]
     off = {}
-    for passes in (1, 4):
-        with stillray.Denoiser(model, passes=passes) as straight:
+    for ensemble in (1, 4):
+        with stillray.Denoiser(model, ensemble=ensemble) as straight:
             wanted = [straight.denoise(frame) for frame in frames]
-        with stillray.Denoiser(model, passes=passes) as other:
+        with stillray.Denoiser(model, ensemble=ensemble) as other:
             got = [other.denoise(mirrored(frame, view)) for frame in frames]
-        off[passes] = [
+        off[ensemble] = [
             np.abs(view.of(image, (0, 1)) / right - 1)
             for image, right in zip(got, wanted, strict=True)
         ]
@@ -85,8 +85,8 @@ def test_a_mean_over_all_views_does_not_care_how_a_frame_is_held(model, view):
 def test_more_views_have_less_error():
     clean = clean_color(96, 128)
     errors = []
-    for passes in (1, 2, 4):
-        with stillray.Denoiser("kpyr-5s", temporal=False, passes=passes) as denoiser:
+    for ensemble in (1, 2, 4):
+        with stillray.Denoiser("kpyr-5s", temporal=False, ensemble=ensemble) as denoiser:
             found = [denoiser.denoise(make_frame(96, 128, seed=seed)) for seed in range(4)]
         errors.append(np.mean([np.square(image - clean).mean() for image in found]))
     assert errors[2] < errors[1] < errors[0]
@@ -94,7 +94,7 @@ def test_more_views_have_less_error():
 
 def test_layers_of_all_views_add_up():
     rng = np.random.default_rng(3)
-    with stillray.Denoiser("kpyr-5s", passes=3) as denoiser:
+    with stillray.Denoiser("kpyr-5s", ensemble=3) as denoiser:
         for index in range(FRAMES):
             frame = make_frame(45, 38, seed=index, shift=1.5)
             part = (frame.color * rng.random(frame.color.shape)).astype(np.float32)
@@ -105,7 +105,7 @@ def test_layers_of_all_views_add_up():
 
 def test_tiles_of_all_views_are_the_whole():
     frame = make_frame(540, 620)
-    with stillray.Denoiser("kpyr-5s", precision="float32", passes=2) as denoiser:
+    with stillray.Denoiser("kpyr-5s", precision="float32", ensemble=2) as denoiser:
         whole = denoiser.denoise(frame)
         denoiser.reset()
         denoiser.max_memory = 730 << 20
@@ -120,37 +120,37 @@ def test_a_mean_lies_in_the_first_picture():
 
 
 @pytest.mark.parametrize(
-    ("model", "passes", "message"),
+    ("model", "ensemble", "message"),
     [
-        ("kpyr-5", 0, "passes must be an integer from 1 to 4 with kpyr-5, got 0"),
-        ("kpyr-5", 5, "passes must be an integer from 1 to 4 with kpyr-5, got 5"),
-        ("kpyr-5", 2.0, "passes must be an integer from 1 to 4 with kpyr-5, got 2.0"),
-        ("wskp-3", 2, "passes must be 1 with wskp-3, got 2"),
+        ("kpyr-5", 0, "ensemble must be an integer from 1 to 4 with kpyr-5, got 0"),
+        ("kpyr-5", 5, "ensemble must be an integer from 1 to 4 with kpyr-5, got 5"),
+        ("kpyr-5", 2.0, "ensemble must be an integer from 1 to 4 with kpyr-5, got 2.0"),
+        ("wskp-3", 2, "ensemble must be 1 with wskp-3, got 2"),
     ],
 )
-def test_passes_that_a_model_cannot_take_are_refused(model, passes, message):
+def test_an_ensemble_that_a_model_cannot_make_is_refused(model, ensemble, message):
     with pytest.raises(InputError, match=message):
-        stillray.Denoiser(model, passes=passes)
+        stillray.Denoiser(model, ensemble=ensemble)
 
 
 def test_a_plan_tells_of_them():
-    with stillray.Denoiser("kpyr-5s", passes=2) as denoiser:
+    with stillray.Denoiser("kpyr-5s", ensemble=2) as denoiser:
         (network,) = (
             stage for stage in denoiser.stages(make_frame(9, 14)) if stage.name == "network"
         )
     assert "2 times" in network.reason
 
 
-def test_command_line_takes_passes_and_makes_anew_what_had_others(tmp_path, monkeypatch, capsys):
+def test_the_command_line_makes_anew_what_had_another_ensemble(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_frame(tmp_path / "shot.01.exr", 1)
     command = ["denoise", "shot.01.exr", "-o", "clean.exr", "-m", "balanced", "--resume"]
     frame = read_exr(tmp_path / "shot.01.exr")
-    for passes in (1, 4):
-        assert main([*command, "--passes", str(passes)]) == 0
-        with stillray.Denoiser("balanced", passes=passes) as denoiser:
+    for ensemble in (1, 4):
+        assert main([*command, "--ensemble", str(ensemble)]) == 0
+        with stillray.Denoiser("balanced", ensemble=ensemble) as denoiser:
             wanted = denoiser.denoise(frame)
         np.testing.assert_allclose(read_exr(tmp_path / "clean.exr").color, wanted, rtol=1e-3)
     capsys.readouterr()
-    assert main([*command, "--passes", "5"]) == 2
-    assert "passes must be" in capsys.readouterr().err
+    assert main([*command, "--ensemble", "5"]) == 2
+    assert "ensemble must be" in capsys.readouterr().err

@@ -287,9 +287,9 @@ def test_models_of_the_qualities_are_profiled_unless_others_are_asked_for(capsys
 
 
 @pytest.mark.usefixtures("known_peaks")
-def test_passes_are_profiled_one_beside_the_other(capsys):
-    once, thrice = profiled(capsys, "-m", "kpyr-5s", "--passes", "1", "--passes", "3")["runs"]
-    assert (once["passes"], thrice["passes"]) == (1, 3)
+def test_ensembles_are_profiled_one_beside_the_other(capsys):
+    once, thrice = profiled(capsys, "-m", "kpyr-5s", "--ensemble", "1", "--ensemble", "3")["runs"]
+    assert (once["ensemble"], thrice["ensemble"]) == (1, 3)
     for stage in ("network", "reconstruct"):
         work = [run["stages"][stage]["operations"] for run in (once, thrice)]
         assert work[1] == 3 * work[0]
@@ -321,7 +321,7 @@ def test_a_user_s_own_file_is_profiled_at_its_size(tmp_path, capsys):
         (["--size", "720"], "size must be WIDTHxHEIGHT in pixels, 1 to 32768 each, got 720"),
         (["--size", "0x9"], "size must be WIDTHxHEIGHT in pixels, 1 to 32768 each, got 0x9"),
         (["--threads", "0"], "threads must be 1 or more, got 0"),
-        (["--passes", "2", "-m", "wskp-3"], "passes must be 1 with wskp-3, got 2"),
+        (["--ensemble", "2", "-m", "wskp-3"], "ensemble must be 1 with wskp-3, got 2"),
         (["--provider", "Nonsense"], "providers must be among"),
         (["--model", "slow"], "model must be one of"),
         (["none.exr"], "none.exr: no such file"),

@@ -107,11 +107,11 @@ def test_peers_and_models_are_scored_on_every_scene(folder, capsys):
     assert "| SVGF | " in table
 
 
-def test_models_that_can_are_scored_with_more_passes_too(stills):
-    found = run_all(stills, only="stills", model=["kpyr-5s", "wskp-3s"], passes=2)
+def test_models_that_can_are_scored_as_ensembles_too(stills):
+    found = run_all(stills, only="stills", model=["kpyr-5s", "wskp-3s"], ensemble=2)
     rows = found["stills, 4 samples a pixel"]
-    assert set(rows) == {"noisy", "kpyr-5s", "kpyr-5s, 2 passes", "wskp-3s"}
-    assert rows["kpyr-5s, 2 passes"]["one"] != rows["kpyr-5s"]["one"]
+    assert set(rows) == {"noisy", "kpyr-5s", "kpyr-5s, ensemble of 2", "wskp-3s"}
+    assert rows["kpyr-5s, ensemble of 2"]["one"] != rows["kpyr-5s"]["one"]
 
 
 def test_references_are_filtered_to_see_what_their_own_noise_leaves(folder):

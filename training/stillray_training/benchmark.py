@@ -7,6 +7,7 @@ pixels. Peak memory is that of a process of its own for each method.
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import time
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ from stillray.arrays.strips import available_threads
 from stillray.cli import program
 from stillray.cli.output import status
 from stillray.io.exr.read_write import atomic_path
-from stillray.models.registry import list_models
+from stillray.models.registry import DEFAULT_MODEL, list_models
 from stillray.profiling.clip import MADE_UP, Clip, open_clip
 from stillray.profiling.cost import stage_costs
 from stillray.profiling.machine import describe, measure_peak_rates, output_of, peak_resident
@@ -80,16 +81,16 @@ def peer_memory(names: Sequence[str], setting: Setting, source: str) -> dict[str
     return {name: Memory(peak=peaks[name], net=peaks[name] - peaks[NOTHING]) for name in names}
 
 
+def ratio(times: Sequence[float], peer: Sequence[float]) -> float:
+    """Median of the ratios round by round: a machine whose speed drifts slows both."""
+    return float(np.median(np.array(times) / np.array(peer)))
+
+
 def methods_table(
     runs: Sequence[Run], peers: dict[str, list[float]], memory: dict[str, Memory]
 ) -> list[str]:
     """A row a method."""
-    times = {run.info.name: [row[TOTAL] for row in run.warm] for run in runs} | peers
-
-    def paired(name: str, peer: str) -> float:
-        # round by round: a machine whose speed drifts slows both
-        return float(np.median(np.array(times[name]) / np.array(times[peer])))
-
+    times = {run.label: [row[TOTAL] for row in run.warm] for run in runs} | peers
     lines = [
         "| method | median ms | p95 | p99 | worst | / OIDN fast | / OIDN high "
         "| peak MiB | net MiB |",
@@ -99,8 +100,8 @@ def methods_table(
         found = Summary.of(values)
         lines.append(
             f"| {name} | {found.median:.0f} | {found.p95:.0f} | {found.p99:.0f} "
-            f"| {found.worst:.0f} | {paired(name, 'OIDN fast'):.2f} "
-            f"| {paired(name, 'OIDN high'):.2f} "
+            f"| {found.worst:.0f} | {ratio(values, times['OIDN fast']):.2f} "
+            f"| {ratio(values, times['OIDN high']):.2f} "
             f"| {memory[name].peak:.0f} | {memory[name].net:.0f} |"
         )
     return lines
@@ -110,7 +111,7 @@ def stages_table(results: Sequence[Result]) -> list[str]:
     """A row a stage: of each model the median, the roofline, and the ratio of both."""
     stages = [result.run.stages() for result in results]
     names = [name for name in (*ORDER, TOTAL) if any(name in found for found in stages)]
-    headings = [f"{result.run.info.name} ms | roofline | ratio" for result in results]
+    headings = [f"{result.run.label} ms | roofline | ratio" for result in results]
     lines = ["| stage | " + " | ".join(headings) + " |", "|---" * (3 * len(results) + 1) + "|"]
     for name in names:
         cells = []
@@ -212,12 +213,14 @@ def main(
         Setting(model=name, height=height, width=width, threads=threads)
         for name in model or [info.name for info in list_models()]
     ]
+    if not model:
+        settings.append(dataclasses.replace(settings[0], model=DEFAULT_MODEL, ensemble=2))
     with status("rounds") as progress:
         peaks = measure_peak_rates(threads)
         runs, peers = measure_in_turn(settings, clip, seconds)
         progress("memory")
         ours = measure_memory(settings, source)
-        memory = dict(zip((run.info.name for run in runs), ours, strict=True))
+        memory = dict(zip((run.label for run in runs), ours, strict=True))
         memory |= peer_memory(list(peers), settings[0], sequence)
         curves = (
             scaling_curves("wskp-3s", threads=threads, sizes=SIZES, progress=progress)

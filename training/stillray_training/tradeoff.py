@@ -17,7 +17,6 @@ from stillray.arrays.strips import available_threads
 from stillray.compare import metrics
 from stillray.compare.metrics import METRICS, Metric
 from stillray.io.exr.read_write import read_exr
-from stillray.model_spec.loader import PyramidKernels
 from stillray.models.registry import ModelInfo, find_model, with_overrides
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.evaluate.cases import find_scenes, last_referenced
@@ -28,7 +27,7 @@ from stillray_training.peers import PeerDenoiser, find_peer
 _WARM_FROM = 2  # frames
 NOISY = "noisy"  # the input as it is
 _KERNEL_SHARES = (1 / 3, 2 / 3)  # of a model's fused kernels
-_PASSES = (2, 4)  # of models that can look at a frame several times
+_ENSEMBLES = (2, 4)  # of models that can
 _HISTORY_FACTORS = (1 / 4, 4)  # of the samples that a model's history is worth
 
 
@@ -89,9 +88,9 @@ def _tuned(info: ModelInfo) -> list[tuple[str, ModelInfo]]:
     for count in dict.fromkeys(round(share * most) for share in _KERNEL_SHARES):
         if 1 <= count < most:
             found.append((f"{count} of {most} kernels", with_overrides(info, kernels=count)))
-    if isinstance(info.spec.decoder, PyramidKernels):
-        for passes in _PASSES:
-            found.append((f"{passes} passes", with_overrides(info, passes=passes)))
+    for ensemble in _ENSEMBLES:
+        if ensemble <= info.spec.decoder.most_ensemble:
+            found.append((f"ensemble of {ensemble}", with_overrides(info, ensemble=ensemble)))
     for factor in _HISTORY_FACTORS:
         samples = max(info.spec.temporal.max_samples * factor, 1.0)
         found.append((f"history of {samples:g}", with_overrides(info, max_samples=samples)))

@@ -89,7 +89,11 @@ class StillrayDenoiseAnimation(bpy.types.Operator):
         for lack in lacks:
             self.report({"WARNING"}, f"stillray: {lack}")
         self._job = SequenceJob(
-            files, quality=settings.quality, temporal=settings.temporal, motion=motion
+            files,
+            quality=settings.quality,
+            ensemble=settings.ensemble,
+            temporal=settings.temporal,
+            motion=motion,
         )
         self._job.start()
         return True

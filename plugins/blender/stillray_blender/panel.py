@@ -27,6 +27,7 @@ class StillrayPanel(bpy.types.Panel):
         settings = layout.column()
         settings.active = scene.stillray.enabled
         settings.prop(scene.stillray, "quality")
+        settings.prop(scene.stillray, "ensemble")
         settings.prop(scene.stillray, "temporal")
         lacks = {
             f"{layer.name}: {lack}"

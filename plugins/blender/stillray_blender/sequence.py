@@ -64,17 +64,19 @@ class SequenceJob:
     ----------
     files
         From `files_of`.
-    quality, temporal
+    quality, ensemble, temporal
         As the settings have them.
     motion
         Whether the files' motion vectors can be used.
     """
 
-    def __init__(self, files: Files, *, quality: str, temporal: bool, motion: bool = True) -> None:
+    def __init__(
+        self, files: Files, *, quality: str, temporal: bool, ensemble: int = 1, motion: bool = True
+    ) -> None:
         self.done, self.count = 0, len(files.sources)
         self.error, self.cancelled = "", False
         self._files, self._quality = files, quality
-        self._temporal, self._motion = temporal, motion
+        self._temporal, self._ensemble, self._motion = temporal, ensemble, motion
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="stillray-sequence")
 
@@ -100,7 +102,9 @@ class SequenceJob:
 
         try:
             options = ShotOptions(
-                temporal=self._temporal, layers={} if self._motion else {"motion": "none"}
+                temporal=self._temporal,
+                ensemble=self._ensemble,
+                layers={} if self._motion else {"motion": "none"},
             )
             ran = denoise_shot(
                 self._files.sources,

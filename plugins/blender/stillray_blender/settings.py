@@ -20,6 +20,14 @@ class StillraySettings(bpy.types.PropertyGroup):
         ),
         default="high",
     )
+    ensemble: bpy.props.IntProperty(
+        name="Ensemble",
+        description="How many pictures of a frame are averaged, for each of which the network sees "
+        "it mirrored otherwise: a better picture, and each takes about as long as the first",
+        default=1,
+        min=1,
+        max=4,
+    )
     temporal: bpy.props.BoolProperty(
         name="Use Previous Frames",
         description="Animations: accumulate light along the Vector pass, for less noise",

@@ -48,16 +48,16 @@ class Streams:
             On Blender's time line: history goes on from the frame before it alone, since that is
             where motion points to.
         settings : StillraySettings
-            Quality, and whether history is used.
+            Quality, size of the ensemble, and whether history is used.
         progress
             As `stillray.Denoiser.denoise` takes it.
         """
-        quality, temporal = settings.quality, settings.temporal
-        if self._kind != (quality, temporal):
+        kind = settings.quality, settings.ensemble, settings.temporal
+        if self._kind != kind:
             self.close()
-            self._kind = quality, temporal
-        stream = self._stream(shown, quality, temporal)
-        cut = stream.cuts.compare(frame) if temporal else None
+            self._kind = kind
+        stream = self._stream(shown)
+        cut = stream.cuts.compare(frame) if settings.temporal else None
         if number - 1 != stream.last or shown.camera != stream.camera or (cut and cut.is_cut):
             stream.denoiser.reset()
         picture = stream.denoiser.denoise(frame, progress=progress)
@@ -76,7 +76,7 @@ class Streams:
             stream.denoiser.close()
         self._streams.clear()
 
-    def _stream(self, shown: Shown, quality: str, temporal: bool) -> _Stream:
+    def _stream(self, shown: Shown) -> _Stream:
         key = shown.scene, shown.layer, shown.view
         if key not in self._streams:
             from stillray import Denoiser
@@ -84,6 +84,7 @@ class Streams:
 
             first = next(iter(self._streams.values()), None)
             engine = first.denoiser.engine if first else None
-            denoiser = Denoiser(quality, temporal=temporal, engine=engine)
+            quality, ensemble, temporal = self._kind
+            denoiser = Denoiser(quality, temporal=temporal, ensemble=ensemble, engine=engine)
             self._streams[key] = _Stream(denoiser, CutDetector(denoiser.model.spec), shown.camera)
         return self._streams[key]

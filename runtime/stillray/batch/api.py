@@ -73,8 +73,8 @@ class ShotOptions:
     precision
         Numbers that the network computes in, as `stillray.Denoiser` takes it. ``"auto"`` is
         ``"float32"`` with a scheduler, whose machines may differ.
-    passes
-        How often the network looks at a frame, as `stillray.Denoiser` takes it.
+    ensemble
+        How many pictures of a frame are averaged, as `stillray.Denoiser` takes it.
     max_memory
         Bytes that the process should stay below; None for whole frames. Of files with several
         views each takes its share.
@@ -103,7 +103,7 @@ class ShotOptions:
     threads: int | None = None
     providers: tuple[Provider, ...] | None = None
     precision: str = "auto"
-    passes: int = 1
+    ensemble: int = 1
     max_memory: int | None = None
     state: str | None = None
     workers: int | None = None
@@ -347,11 +347,8 @@ def plan_run(
     memory, cuts = _memory(family, options, len(jobs)), options.cuts and temporal
     precision = _precision(chosen, options)
     network = network_path(chosen, precision, options.providers)
-    changing = {"temporal": temporal, "cuts": cuts, **layout.options()}
-    if precision != "float32":
-        changing["precision"] = precision
-    if options.passes != 1:
-        changing["passes"] = options.passes
+    unusual = _unusual(precision, options.ensemble)
+    changing = {"temporal": temporal, "cuts": cuts, **layout.options(), **unusual}
     recipe = Recipe(model=chosen.name, model_digest=file_digest(network), options=changing)
     done = [False] * len(jobs)
     if options.resume and (look or not options.in_chunks):
@@ -366,7 +363,7 @@ def plan_run(
         threads=options.threads,
         providers=options.providers,
         precision=precision,
-        passes=options.passes,
+        ensemble=options.ensemble,
         max_memory=options.max_memory,
         state=None if options.state is None else _state(options.state, chosen, family, layout),
     )
@@ -398,14 +395,24 @@ def _check_outputs(jobs: Sequence[ShotFrame], layout: Layout, *, resume: bool) -
 def _opened(name: str, options: ShotOptions) -> tuple[ModelInfo, Family]:
     """A model and its family; what it can never do is refused before a frame is run."""
     model = model_of(name)
-    if options.passes != 1:
-        model = with_overrides(model, passes=options.passes)
+    if options.ensemble != 1:
+        model = with_overrides(model, ensemble=options.ensemble)
     family = family_of_model(model, options.providers)
     if options.aovs is not None and not family.traits.linear:
         raise InputError(
             f"aovs must not be given with {model.name}, which denoises the beauty alone"
         )
     return model, family
+
+
+def _unusual(precision: str, ensemble: int) -> dict[str, str | int]:
+    """What makes other pictures than a model does as it is, to be found in their recipe."""
+    found: dict[str, str | int] = {}
+    if precision != "float32":
+        found["precision"] = precision
+    if ensemble != 1:
+        found["ensemble"] = ensemble
+    return found
 
 
 def _precision(model: ModelInfo, options: ShotOptions) -> str:

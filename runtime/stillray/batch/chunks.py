@@ -47,7 +47,7 @@ class ShotSettings:
         Of the denoiser; None for all that there are.
     providers
         Of the denoiser; None for the CPU.
-    precision, passes
+    precision, ensemble
         Of the denoiser.
     max_memory
         Bytes, see `stillray.Denoiser`.
@@ -64,7 +64,7 @@ class ShotSettings:
     threads: int | None = None
     providers: tuple[Provider, ...] | None = None
     precision: str = "float32"
-    passes: int = 1
+    ensemble: int = 1
     max_memory: int | None = None
     state: Path | None = None
 
@@ -106,7 +106,7 @@ class ShotSettings:
             threads=self.threads,
             providers=self.providers,
             precision=self.precision,
-            passes=self.passes,
+            ensemble=self.ensemble,
             temporal=self.temporal,
             max_memory=most,
         ) as denoiser:

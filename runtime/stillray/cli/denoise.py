@@ -151,11 +151,11 @@ def denoise(
             "auto takes that on processors that are faster with it, but not with --scheduler."
         ),
     ] = "auto",
-    passes: Annotated[
+    ensemble: Annotated[
         int,
         typer.Option(
-            help="How often the network looks at a frame, mirrored otherwise each time, 1 to 4: "
-            "the mean of the pictures is better. Each takes about as long as the first."
+            help="How many pictures of a frame are averaged, 1 to 4, for each of which the network "
+            "sees it mirrored otherwise: the mean is better. Each takes about as long as the first."
         ),
     ] = 1,
     max_memory: Annotated[
@@ -241,7 +241,7 @@ def denoise(
         threads=threads,
         providers=tuple(provider) if provider else None,
         precision=precision,
-        passes=passes,
+        ensemble=ensemble,
         max_memory=None if max_memory is None else parse_memory(max_memory),
         state=state,
         workers=workers,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -50,9 +51,9 @@ def profile(
         list[str] | None,
         typer.Option(help="ONNX Runtime execution provider; repeatable; the CPU unless given."),
     ] = None,
-    passes: Annotated[
+    ensemble: Annotated[
         list[int] | None,
-        typer.Option(help="How often the network looks at a frame; repeatable; 1 unless given."),
+        typer.Option(help="Pictures of a frame that are averaged; repeatable; 1 unless given."),
     ] = None,
     temporal: Annotated[
         bool, typer.Option("--temporal/--no-temporal", help="Accumulate over frames.")
@@ -80,7 +81,8 @@ def profile(
             raise InputError(f"--scaling makes its own frames up, got the input {source}")
         _scaling(model, size, threads, plot, as_json)
     else:
-        settings = _settings(source, model, size, threads, provider, passes, temporal)
+        settings = _settings(source, model, size, threads, provider, temporal)
+        settings = _as_ensembles(settings, ensemble or [1])
         _profile(source, settings, seconds, memory, plot, as_json)
 
 
@@ -90,11 +92,10 @@ def _settings(
     sizes: Sequence[str] | None,
     threads: Sequence[int] | None,
     providers: Sequence[str] | None,
-    passes: Sequence[int] | None,
     temporal: bool,
 ) -> list[Setting]:
     from stillray.arrays.strips import available_threads
-    from stillray.models.registry import list_models, with_overrides
+    from stillray.models.registry import list_models
     from stillray.pipeline.opening import engine_of_model, model_of
     from stillray.profiling.clip import DEFAULT_SIZE, open_clip
     from stillray.profiling.measure import Setting
@@ -107,8 +108,6 @@ def _settings(
     for count in threads or ():
         if count < 1:
             raise InputError(f"threads must be 1 or more, got {count}")
-    for looks, info in itertools.product(passes or (), infos):
-        with_overrides(info, passes=looks)
     for provider in providers or ():  # an unknown one is refused before anything is measured
         engine_of_model(infos[0], 1, (provider,)).close()
     if sizes:
@@ -124,12 +123,22 @@ def _settings(
             threads=count,
             provider=provider,
             temporal=temporal,
-            passes=looks,
         )
-        for (height, width), name, count, provider, looks in itertools.product(
-            shapes, names, threads or [available_threads()], engines, passes or [1]
+        for (height, width), name, count, provider in itertools.product(
+            shapes, names, threads or [available_threads()], engines
         )
     ]
+
+
+def _as_ensembles(settings: Sequence[Setting], sizes: Sequence[int]) -> list[Setting]:
+    """Each setting with ensembles of every size."""
+    from stillray.models.registry import with_overrides
+    from stillray.pipeline.opening import model_of
+
+    for name in dict.fromkeys(setting.model for setting in settings):
+        for size in set(sizes) - {1}:
+            with_overrides(model_of(name), ensemble=size)
+    return [replace(setting, ensemble=size) for setting in settings for size in sizes]
 
 
 def _parse_size(text: str) -> tuple[int, int]:

@@ -70,7 +70,7 @@ class KernelPyramidModel(TemporalKernels):
         self._levels = spec.network.resolutions
         self.method = f"kernels at {self._levels} resolutions, resolved with the last output"
         self.cost = kernel_pyramid_cost(self._levels, spec.decoder)
-        self.passes = spec.decoder.passes
+        self.ensemble = spec.decoder.ensemble
         # doubling looks into the neighbouring cell: 1.5 cells of every level above the finest,
         # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, and the resolve
         radii = (size // 2 for size in spec.decoder.kernel_sizes)
@@ -107,12 +107,10 @@ class KernelPyramidModel(TemporalKernels):
         found = []
         for level, given in enumerate(outputs):
             places = seen_from(view, level, self._levels, self._options)
-            if len(given) == len(places):
-                found.append(view.of(given[places]))
-                continue
-            # the finest, by blocks of 2x2 pixels
-            blocks = given.reshape(len(places), 2, 2, *given.shape[1:])[places]
-            found.append(view.of(view.of(blocks, (1, 2))).reshape(given.shape))
+            seen = view.seen(given)
+            if len(given) > len(places):  # the finest, by blocks of 2x2 pixels
+                seen = view.seen(seen.reshape(len(places), 2, 2, *given.shape[1:]), (1, 2))
+            found.append(np.take(seen, places, axis=0).reshape(given.shape))
         return found
 
     def frozen(

@@ -97,7 +97,7 @@ class TemporalKernels(ABC):
     #: Operations and float32 planes moved by the reconstruction, a pixel.
     cost: tuple[float, float]
     #: Views of a frame whose pictures are averaged; more than one where there is `seen_from`.
-    passes = 1
+    ensemble = 1
 
     @abstractmethod
     def reconstruct(
@@ -168,7 +168,7 @@ class TemporalKernels(ABC):
             why_remember = "no next frame looks at this one's output"
         return [
             Stage("encode", True, f"{len(self.spec.network.features)} planes for the network"),
-            Stage("network", True, self.spec.name + _views_told(self.passes)),
+            Stage("network", True, self.spec.name + _views_told(self.ensemble)),
             Stage("reconstruct", True, self.method),
             Stage("upscale", False, "the model's scale is 1"),
             Stage("remodulate", modulates, why),
@@ -245,7 +245,7 @@ class TemporalKernels(ABC):
         planes = self._encode(prepared, previous, context)
 
         def pictures() -> Iterator[np.ndarray]:
-            for view in VIEWS[: self.passes]:
+            for view in VIEWS[: self.ensemble]:
                 outputs = self._outputs(planes, view, context)
                 if keep is not None:
                     keep.append(outputs)
@@ -345,8 +345,8 @@ class KernelPlan(Plan):
     tiles: tuple[Tile, ...] = ()
 
 
-def _views_told(passes: int) -> str:
-    return "" if passes == 1 else f", {passes} times: the mean of what it makes of mirrored frames"
+def _views_told(ensemble: int) -> str:
+    return "" if ensemble == 1 else f", {ensemble} times, the frame mirrored otherwise each time"
 
 
 def history_of(state: object) -> History | None:

@@ -28,12 +28,16 @@ class View:
     rows: bool = False
     columns: bool = False
 
+    def seen(self, array: np.ndarray, axes: tuple[int, int] = (-2, -1)) -> np.ndarray:
+        """An array seen so, its pixels along two axes: in place, with strides below 0."""
+        turned = (self.rows, self.columns)
+        return np.flip(
+            array, tuple(axis for axis, is_so in zip(axes, turned, strict=True) if is_so)
+        )
+
     def of(self, array: np.ndarray, axes: tuple[int, int] = (-2, -1)) -> np.ndarray:
-        """An array seen so, its pixels along two axes; seen so twice it is itself again."""
-        chosen = [
-            axis for axis, turned in zip(axes, (self.rows, self.columns), strict=True) if turned
-        ]
-        return np.ascontiguousarray(np.flip(array, tuple(chosen))) if chosen else array
+        """The same, contiguous; of what was seen so it gives back what it was."""
+        return np.ascontiguousarray(self.seen(array, axes))
 
 
 #: In the order in which they are taken.

@@ -192,6 +192,22 @@ class Decoder:
         """
         raise SpecError(f"decoder must fuse kernels, got {type(self).__name__}")
 
+    @property
+    def most_ensemble(self) -> int:
+        """How many pictures of mirrored frames it can average."""
+        return 1
+
+    def with_ensemble(self, size: int) -> Self:
+        """The same as the mean of so many pictures, 1 to `most_ensemble`.
+
+        Raises
+        ------
+        SpecError
+            It cannot be.
+        """
+        _within("ensemble", size, 1, self.most_ensemble)
+        return self
+
 
 @dataclass(frozen=True, kw_only=True)
 class FusedKernels(Decoder):
@@ -256,7 +272,7 @@ class PyramidNetwork:
 
 
 #: Views of a frame, of which each costs a run of the network.
-MOST_PASSES = 4
+MOST_ENSEMBLE = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,11 +295,11 @@ class PyramidKernels(Decoder):
     # the network says, x and y being the exposed luminance of pixel and neighbour; 0: all of it.
     resolve_tone: float = 0.0
     # Views of a frame whose pictures are averaged, 1 to 4, see `stillray.families.views`.
-    passes: int = 1
+    ensemble: int = 1
 
     def __post_init__(self) -> None:
         _kernels(self.kernel_sizes)
-        _within("decoder.passes", self.passes, 1, MOST_PASSES)
+        _within("decoder.ensemble", self.ensemble, 1, MOST_ENSEMBLE)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
         _within("decoder.resolve_tone", self.resolve_tone, 0, _MOST_TONE)
         _each("decoder.finest_neighbours", self.finest_neighbours, 1, _MAX_WINDOW // 2)
@@ -294,6 +310,13 @@ class PyramidKernels(Decoder):
             1 if self.finest_filters else 0,
             _MAX_FILTER_FEATURES if self.finest_filters else 0,
         )
+
+    @property
+    def most_ensemble(self) -> int:
+        return MOST_ENSEMBLE
+
+    def with_ensemble(self, size: int) -> Self:
+        return dataclasses.replace(self, ensemble=size)
 
 
 @dataclass(frozen=True, kw_only=True)

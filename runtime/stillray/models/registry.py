@@ -13,14 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from stillray.errors import InputError
-from stillray.model_spec.loader import (
-    MOST_PASSES,
-    ModelSpec,
-    PyramidKernels,
-    SpecError,
-    from_json,
-    load,
-)
+from stillray.model_spec.loader import ModelSpec, SpecError, from_json, load
 from stillray.model_spec.network_outputs import network_outputs
 from stillray.model_spec.network_weights import network_weights
 from stillray.models.frame_graph import (
@@ -294,7 +287,7 @@ def with_overrides(
     *,
     kernels: int | None = None,
     max_samples: float | None = None,
-    passes: int | None = None,
+    ensemble: int | None = None,
 ) -> ModelInfo:
     """A model with other settings than it was trained with, for `stillray.Denoiser`.
 
@@ -306,15 +299,15 @@ def with_overrides(
         How many of its fused kernels to use, the smallest first; weight-sharing kernels only.
     max_samples
         Samples that a pixel's history counts as at most, 1 or more: how long it remembers.
-    passes
+    ensemble
         Views of a frame whose pictures are averaged, 1 to 4; pyramids of kernels only. Each
         takes about as long as the first.
 
     Raises
     ------
     InputError
-        The model has not so many kernels or passes, or the history is too short; or it is a frame
-        graph, whose settings are in its nodes.
+        The model has not so many kernels or no ensemble, or the history is too short; or it is a
+        frame graph, whose settings are in its nodes.
     """
     if info.ports is not None:
         raise InputError(f"model must be a network to have other settings, got {info.path}")
@@ -330,11 +323,11 @@ def with_overrides(
         if max_samples < 1:
             raise InputError(f"max_samples must be 1 or more, got {max_samples:g}")
         spec = replace(spec, temporal=replace(spec.temporal, max_samples=float(max_samples)))
-    if passes is not None:
-        most = MOST_PASSES if isinstance(spec.decoder, PyramidKernels) else 1
-        if isinstance(passes, bool) or not isinstance(passes, Integral) or not 1 <= passes <= most:
+    if ensemble is not None:
+        most = spec.decoder.most_ensemble
+        whole = isinstance(ensemble, Integral) and not isinstance(ensemble, bool)
+        if not whole or not 1 <= ensemble <= most:
             rule = f"an integer from 1 to {most}" if most > 1 else "1"
-            raise InputError(f"passes must be {rule} with {info.name}, got {passes!r}")
-        if isinstance(spec.decoder, PyramidKernels):
-            spec = replace(spec, decoder=replace(spec.decoder, passes=int(passes)))
+            raise InputError(f"ensemble must be {rule} with {info.name}, got {ensemble!r}")
+        spec = replace(spec, decoder=spec.decoder.with_ensemble(int(ensemble)))
     return replace(info, spec=spec)

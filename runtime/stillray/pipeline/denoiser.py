@@ -60,15 +60,15 @@ class Denoiser:
         In what numbers: ``"float32"``; ``"int8"``, integers of 8 bits; ``"auto"``, those if the
         model has them and this processor multiplies them faster. Pictures differ by rounding: ask
         for one where several machines make a shot.
-    passes
-        How often the network looks at a frame, mirrored otherwise each time: the mean of the
-        pictures is better, and each takes about as long as the first. 1 to 4 with ``"high"``,
-        ``"balanced"`` and ``"fast"``, 1 with models that cannot.
+    ensemble
+        How many pictures of a frame are averaged, for each of which the network sees it mirrored
+        otherwise: the mean is better, and each takes about as long as the first. 1 to 4 with
+        ``"high"``, ``"balanced"`` and ``"fast"``, 1 with models that cannot.
 
     Raises
     ------
     InputError
-        Unknown model, provider, precision or number of threads, or too many passes.
+        Unknown model, provider, precision or number of threads, or too large an ensemble.
 
     Examples
     --------
@@ -92,15 +92,15 @@ class Denoiser:
         max_memory: int | None = None,
         engine: Engine | None = None,
         precision: str = "auto",
-        passes: int = 1,
+        ensemble: int = 1,
     ) -> None:
         threads = _checked_threads(threads)
         if isinstance(providers, str):
             raise InputError(f"providers must be a sequence of names, got the string '{providers}'")
         chosen = tuple(providers) if providers else None
         self.model = model_of(model)
-        if passes != 1:
-            self.model = with_overrides(self.model, passes=passes)
+        if ensemble != 1:
+            self.model = with_overrides(self.model, ensemble=ensemble)
         self.temporal = temporal
         self.max_memory = max_memory
         #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
@@ -414,6 +414,7 @@ def denoise(
     samples: float | np.ndarray | None = None,
     model: str | os.PathLike[str] | ModelInfo = DEFAULT_MODEL,
     threads: int | None = None,
+    ensemble: int = 1,
 ) -> np.ndarray:
     """Denoise one image.
 
@@ -427,7 +428,7 @@ def denoise(
         Camera z or distance.
     samples : number or (h, w), optional
         Samples a pixel of color, see `Frame`.
-    model, threads
+    model, threads, ensemble
         As `Denoiser`'s.
 
     Returns
@@ -439,7 +440,7 @@ def denoise(
     InputError
         A buffer or the model cannot be used.
     """
-    with Denoiser(model, threads=threads, temporal=False) as denoiser:
+    with Denoiser(model, threads=threads, temporal=False, ensemble=ensemble) as denoiser:
         return denoiser.denoise(
             Frame(color=color, albedo=albedo, normal=normal, depth=depth, samples=samples)
         )

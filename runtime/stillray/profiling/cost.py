@@ -82,9 +82,9 @@ def stage_costs(info: ModelInfo, frame: Frame, precision: str = "float32") -> di
         network = _network(info, height, width, family.traits.tile_alignment)
         stages = _each_pixel(family, frame)
         operations, planes = stages["reconstruct"]
-        stages["reconstruct"] = (family.passes * operations, family.passes * planes)
+        stages["reconstruct"] = (family.ensemble * operations, family.ensemble * planes)
         network = Cost(
-            operations=family.passes * network.operations, bytes=family.passes * network.bytes
+            operations=family.ensemble * network.operations, bytes=family.ensemble * network.bytes
         )
     elif isinstance(family, OnlineModel):
         network = _network(info, height, width, family.alignment)

@@ -47,7 +47,7 @@ class Setting:
     threads: int
     provider: str | None = None
     temporal: bool = True
-    passes: int = 1
+    ensemble: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +99,12 @@ class Run:
     warm: list[dict[str, float]] = field(default_factory=list)
     files: dict[str, list[float]] = field(default_factory=dict)
     precision: str = "float32"
+
+    @property
+    def label(self) -> str:
+        """The model's name, and the size of its ensemble if that is more than one."""
+        ensemble = self.setting.ensemble
+        return self.info.name if ensemble == 1 else f"{self.info.name}, ensemble of {ensemble}"
 
     def stages(self) -> dict[str, Summary]:
         """Stage to its warm milliseconds, in order, files and `TOTAL` included.
@@ -179,7 +185,7 @@ def open_denoiser(setting: Setting) -> Denoiser:
         threads=setting.threads,
         providers=[setting.provider] if setting.provider else None,
         temporal=setting.temporal,
-        passes=setting.passes,
+        ensemble=setting.ensemble,
     )
 
 

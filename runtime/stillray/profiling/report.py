@@ -19,11 +19,9 @@ def title(result: Result) -> str:
     """What was measured, in a line."""
     setting = result.run.setting
     options = "" if setting.temporal else ", each frame alone"
-    if setting.passes > 1:
-        options += f", {setting.passes} passes"
     provider = f", {setting.provider}" if setting.provider else ""
     return (
-        f"{result.run.info.name}, {setting.width} x {setting.height}, "
+        f"{result.run.label}, {setting.width} x {setting.height}, "
         f"{setting.threads} thread{'s' if setting.threads > 1 else ''}{provider}{options}"
     )
 

@@ -16,7 +16,6 @@ from stillray.cli import program
 from stillray.compare.metrics import METRICS
 from stillray.errors import InputError
 from stillray.io.atomic import atomic_path
-from stillray.model_spec.loader import PyramidKernels
 from stillray.models.registry import ModelInfo, find_model, list_models, with_overrides
 from stillray_training.evaluate.cases import KINDS, Case, find_cases, titles
 from stillray_training.evaluate.methods import NOISY, choose_peers, left_out
@@ -37,8 +36,8 @@ def main(
         list[str] | None,
         typer.Option(help="Model, .onnx, or LABEL=one of them; repeatable; default: all."),
     ] = None,
-    passes: Annotated[
-        int, typer.Option(help="Run each model with so many passes too, where it can.")
+    ensemble: Annotated[
+        int, typer.Option(help="Run each model as an ensemble of so many too, where it can.")
     ] = 1,
     peer: Annotated[
         list[str] | None,
@@ -63,8 +62,8 @@ def main(
 ) -> None:
     """Print every set's metrics, and where a model's picture is worse than its input."""
     given = model or [info.name for info in list_models()]
-    models = with_passes(
-        {text.split("=")[0]: find_model(text.split("=")[-1]) for text in given}, passes
+    models = with_ensembles(
+        {text.split("=")[0]: find_model(text.split("=")[-1]) for text in given}, ensemble
     )
     named = peer if peers else []
     chosen = choose_peers(named)
@@ -92,13 +91,13 @@ def main(
             temporary.write_text(json.dumps(results, indent=1))
 
 
-def with_passes(models: Mapping[str, ModelInfo], passes: int) -> dict[str, ModelInfo]:
-    """Models by label, and after each that can look at a frame several times, itself doing so."""
+def with_ensembles(models: Mapping[str, ModelInfo], ensemble: int) -> dict[str, ModelInfo]:
+    """Models by label, and after each that can, itself as an ensemble."""
     found: dict[str, ModelInfo] = {}
     for label, info in models.items():
         found[label] = info
-        if passes > 1 and isinstance(info.spec.decoder, PyramidKernels):
-            found[f"{label}, {passes} passes"] = with_overrides(info, passes=passes)
+        if 1 < ensemble <= info.spec.decoder.most_ensemble:
+            found[f"{label}, ensemble of {ensemble}"] = with_overrides(info, ensemble=ensemble)
     return found
 
 

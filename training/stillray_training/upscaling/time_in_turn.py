@@ -25,7 +25,7 @@ from stillray.profiling.clip import Clip, open_clip
 from stillray.profiling.machine import describe
 from stillray.profiling.measure import Setting
 from stillray.profiling.results import Result, profile_settings
-from stillray_training.benchmark import run_peer, stages_table
+from stillray_training.benchmark import ratio, run_peer, stages_table
 from stillray_training.peers import OIDN_QUALITIES
 
 _LEAST_ROUNDS = 3
@@ -75,9 +75,8 @@ def table(times: Mapping[str, list[float]], peers: Sequence[str]) -> list[str]:
         "|---" * (2 + len(peers)) + "|",
     ]
     for name, values in times.items():
-        # round by round: a machine whose speed drifts slows both
-        ratios = [np.median(np.array(values) / np.array(times[peer])) for peer in peers]
-        cells = [name, f"{np.median(values):.0f}", *(f"{ratio:.2f}" for ratio in ratios)]
+        ratios = [f"{ratio(values, times[peer]):.2f}" for peer in peers]
+        cells = [name, f"{np.median(values):.0f}", *ratios]
         lines.append("| " + " | ".join(cells) + " |")
     return lines
 
