@@ -38,29 +38,27 @@ def test_mirrored_light_and_logits_give_the_mirrored_picture(view, blocks):
         logits[0] = by_blocks(logits[0])
 
     def picture(turn, given):
-        of_pixels = [np.ascontiguousarray(turn(part, (0, 1))) for part in (mean, albedo, previous)]
+        of_pixels = [turn.of_pixels(part) for part in (mean, albedo, previous)]
         light = Filterable(
-            mean=of_pixels[0], sample=turn(sample), remodulation_albedo=of_pixels[1],
+            mean=of_pixels[0], sample=turn.of_planes(sample), remodulation_albedo=of_pixels[1],
             previous=of_pixels[2], exposure=1.0,
         )  # fmt: skip
         return model.reconstruct(light, given, Strips(1), {})
 
-    straight = picture(VIEWS[0].of, logits)
-    mirrored = picture(view.of, model.seen_from(view, logits))
-    np.testing.assert_allclose(view.of(mirrored, (0, 1)), straight, rtol=1e-5)
+    straight = picture(VIEWS[0], logits)
+    mirrored = picture(view, model.seen_from(view, logits))
+    np.testing.assert_allclose(view.of_pixels(mirrored), straight, rtol=1e-5)
     if view != VIEWS[0]:
-        wrong = picture(view.of, [view.of(level) for level in logits])
-        assert np.abs(view.of(wrong, (0, 1)) / straight - 1).max() > 0.1
+        wrong = picture(view, [view.of_planes(level) for level in logits])
+        assert np.abs(view.of_pixels(wrong) / straight - 1).max() > 0.1
 
 
 def mirrored(frame, view):
     """A frame as a mirror shows it, its motion too."""
     signs = np.array([-1 if view.columns else 1, -1 if view.rows else 1], np.float32)
-    buffers = {
-        name: view.of(getattr(frame, name), (0, 1)) for name in ("color", "albedo", "normal")
-    }
-    motion = view.of(frame.motion, (0, 1)) * signs
-    return dataclasses.replace(frame, motion=motion, depth=view.of(frame.depth), **buffers)
+    buffers = {name: view.of_pixels(getattr(frame, name)) for name in ("color", "albedo", "normal")}
+    motion = view.of_pixels(frame.motion) * signs
+    return dataclasses.replace(frame, motion=motion, depth=view.of_pixels(frame.depth), **buffers)
 
 
 @pytest.mark.parametrize("view", VIEWS[1:])
@@ -74,7 +72,7 @@ def test_a_mean_over_all_views_does_not_care_how_a_frame_is_held(model, view):
         with stillray.Denoiser(model, ensemble=ensemble) as other:
             got = [other.denoise(mirrored(frame, view)) for frame in frames]
         off[ensemble] = [
-            np.abs(view.of(image, (0, 1)) / right - 1)
+            np.abs(view.of_pixels(image) / right - 1)
             for image, right in zip(got, wanted, strict=True)
         ]
     assert off[4][0].max() < 1e-5 < 1e-2 < off[1][0].max()

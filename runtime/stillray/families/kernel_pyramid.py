@@ -107,10 +107,9 @@ class KernelPyramidModel(TemporalKernels):
         found = []
         for level, given in enumerate(outputs):
             places = seen_from(view, level, self._levels, self._options)
-            seen = view.seen(given)
             if len(given) > len(places):  # the finest, by blocks of 2x2 pixels
-                seen = view.seen(seen.reshape(len(places), 2, 2, *given.shape[1:]), (1, 2))
-            found.append(np.take(seen, places, axis=0).reshape(given.shape))
+                places = [4 * place + corner for place in places for corner in view.corners]
+            found.append(view.of_planes(given, places))
         return found
 
     def frozen(

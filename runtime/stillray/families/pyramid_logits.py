@@ -144,8 +144,10 @@ def seen_from(view: View, level: int, levels: int, options: PyramidKernels) -> l
     for start in eights:
         places[start : start + count] = [start + other for other in others]
     if level > 0:
-        double = places[layout.double].reshape(2, 2, 2)  # beside or above; row, column
-        places[layout.double] = view.of(double).ravel()
+        beside, above = layout.double.start, layout.double.start + 4
+        places[layout.double] = [
+            start + corner for start in (beside, above) for corner in view.corners
+        ]
     return [int(place) for place in places]
 
 

@@ -257,10 +257,12 @@ class TemporalKernels(ABC):
         """What the network says of its input, given to it as a view of it."""
         assert context.engine is not None
         with timed(context.timings, "network"):
-            axes = (1, 2) if planes.dtype == np.uint8 else (2, 3)
-            given = view.of(planes, axes)
-            outputs = list(context.engine.run("network", {"features": given}).values())
-            return outputs if view == View() else self.seen_from(view, outputs)
+            seen = planes
+            if view.changes:  # pixels in steps, or planes
+                turned = view.of_pixels if planes.dtype == np.uint8 else view.of_planes
+                seen = turned(planes[0])[None]
+            outputs = list(context.engine.run("network", {"features": seen}).values())
+            return self.seen_from(view, outputs) if view.changes else outputs
 
     def _encode(
         self, prepared: Prepared, previous: np.ndarray | None, context: Context

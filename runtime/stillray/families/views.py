@@ -8,7 +8,7 @@ planes and kernels of any size allow in place, and first the half turn, which is
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -28,16 +28,27 @@ class View:
     rows: bool = False
     columns: bool = False
 
-    def seen(self, array: np.ndarray, axes: tuple[int, int] = (-2, -1)) -> np.ndarray:
-        """An array seen so, its pixels along two axes: in place, with strides below 0."""
-        turned = (self.rows, self.columns)
-        return np.flip(
-            array, tuple(axis for axis, is_so in zip(axes, turned, strict=True) if is_so)
-        )
+    @property
+    def changes(self) -> bool:
+        """Whether it is another than the frame as it is."""
+        return self.rows or self.columns
 
-    def of(self, array: np.ndarray, axes: tuple[int, int] = (-2, -1)) -> np.ndarray:
-        """The same, contiguous; of what was seen so it gives back what it was."""
-        return np.ascontiguousarray(self.seen(array, axes))
+    @property
+    def corners(self) -> list[int]:
+        """Where a pixel of a 2x2 block is: the top left, top right, bottom left, bottom right."""
+        return [place ^ (2 * self.rows) ^ (1 * self.columns) for place in range(4)]
+
+    def of_pixels(self, image: np.ndarray) -> np.ndarray:
+        """An image ``(h, w, ...)`` seen so; seen so twice it is itself again."""
+        if not self.changes:
+            return image
+        code = -1 if self.rows and self.columns else 0 if self.rows else 1  # OpenCV's
+        return np.asarray(cv2.flip(image, code)).reshape(image.shape)
+
+    def of_planes(self, planes: np.ndarray, places: Sequence[int] | None = None) -> np.ndarray:
+        """Planes ``(n, h, w)`` seen so: all, or those at some places, in their order."""
+        chosen = range(len(planes)) if places is None else places
+        return np.stack([self.of_pixels(planes[place]) for place in chosen])
 
 
 #: In the order in which they are taken.
