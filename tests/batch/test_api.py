@@ -68,9 +68,25 @@ def test_a_run_cancelled_at_once_opens_no_model_and_writes_nothing(shot):
 
 
 def test_the_default_model_is_one_and_the_same(shot):
-    result = stillray.denoise_shot("shot.01.exr", "e.exr")
+    result = stillray.denoise_shot("shot.##.exr", "e.##.exr")
     assert result.model == stillray.Denoiser().model.name == "kpyr-5"
     assert main(["info", "shot.01.exr", "--json"]) == 0
+
+
+def test_one_file_alone_is_denoised_as_one_image_is(shot):
+    frame = read_exr(shot / "shot.01.exr")
+    image = stillray.denoise(frame.color, frame.albedo)
+    given = {"alone": {}, "one of many": {"frames": "1"}, "each alone": {"temporal": False}}
+    for how, options in given.items():
+        source = "shot.01.exr" if how == "alone" else "shot.##.exr"
+        output = "f.exr" if how == "alone" else "f.##.exr"
+        ran = stillray.denoise_shot(source, output, options=stillray.ShotOptions(**options))
+        assert ran.model == "kpyr-5-still"
+        found = read_exr(shot / output.replace("##", "01")).color
+        np.testing.assert_allclose(found, image, rtol=1e-3)  # half floats
+    # with frames before it, it has a past
+    options = stillray.ShotOptions(frames="2", warm_up=1)
+    assert stillray.denoise_shot("shot.##.exr", "g.##.exr", options=options).model == "kpyr-5"
 
 
 @pytest.mark.parametrize(

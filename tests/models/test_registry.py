@@ -4,12 +4,15 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from stillray.errors import InputError
 from stillray.model_spec import load
 from stillray.models import registry
 from stillray.models.registry import differences, find_model, list_models, qualities
+from stillray.pipeline.denoiser import Denoiser
+from tests.conftest import make_frame
 
 
 def test_a_quality_opens_one_file(monkeypatch):
@@ -54,3 +57,21 @@ def test_a_file_is_named_as_its_model_is():
 def test_an_unknown_name_lists_models_and_qualities():
     with pytest.raises(InputError, match=r"one of kpyr-5, .*wskp-mr, fast, balanced, high or"):
         find_model("best")
+
+
+def test_high_is_another_model_where_frames_have_no_past():
+    with Denoiser("high", temporal=False) as alone, Denoiser("high") as stream:
+        assert (alone.model.name, stream.model.name) == ("kpyr-5-still", "kpyr-5")
+    # who names a model gets it, and the other qualities have no such model
+    for name in ("kpyr-5", "balanced"):
+        with Denoiser(name, temporal=False) as alone:
+            assert alone.model.name == find_model(name).name
+
+
+def test_a_model_of_single_frames_takes_no_past():
+    frames = [make_frame(33, 50, seed=seed, shift=1.0) for seed in range(3)]
+    with Denoiser("kpyr-5-still") as stream, Denoiser("kpyr-5-still", temporal=False) as alone:
+        assert not stream.temporal
+        for frame in frames:
+            np.testing.assert_array_equal(stream.denoise(frame), alone.denoise(frame))
+        assert stream.state is None

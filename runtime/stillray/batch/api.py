@@ -27,7 +27,12 @@ from stillray.families.contract import Family, Keeps
 from stillray.frame import check_samples
 from stillray.io.channels.motion_detection import Detection
 from stillray.io.image_file import is_float_map
-from stillray.models.registry import DEFAULT_MODEL, ModelInfo, with_overrides
+from stillray.models.registry import (
+    DEFAULT_MODEL,
+    ModelInfo,
+    for_single_frames,
+    with_overrides,
+)
 from stillray.models.session import Provider
 from stillray.pipeline.opening import family_of_model, model_of, network_path
 
@@ -343,7 +348,7 @@ def plan_run(
         samples=options.samples,
     )
     _check_outputs(jobs, layout, resume=options.resume)
-    chosen, family = _opened(model, options)
+    chosen, family = _opened(model, options, alone=not temporal or len(jobs) == 1)
     memory, cuts = _memory(family, options, len(jobs)), options.cuts and temporal
     precision = _precision(chosen, options)
     network = network_path(chosen, precision, options.providers)
@@ -392,9 +397,17 @@ def _check_outputs(jobs: Sequence[ShotFrame], layout: Layout, *, resume: bool) -
         )
 
 
-def _opened(name: str, options: ShotOptions) -> tuple[ModelInfo, Family]:
-    """A model and its family; what it can never do is refused before a frame is run."""
-    model = model_of(name)
+def _opened(name: str, options: ShotOptions, *, alone: bool) -> tuple[ModelInfo, Family]:
+    """A model and its family; what it can never do is refused before a frame is run.
+
+    Parameters
+    ----------
+    name, options
+        Of the shot.
+    alone
+        Whether no frame has a past.
+    """
+    model = model_of(for_single_frames(name) if alone else name)
     if options.ensemble != 1:
         model = with_overrides(model, ensemble=options.ensemble)
     family = family_of_model(model, options.providers)

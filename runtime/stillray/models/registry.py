@@ -73,8 +73,16 @@ def list_models() -> list[ModelInfo]:
 
 def qualities() -> dict[str, str]:
     """Quality to the name of the model that gives it, without opening any."""
-    text = (_folder() / "qualities.toml").read_text(encoding="utf-8")
-    return {str(quality): str(model) for quality, model in tomllib.loads(text).items()}
+    return {quality: model for quality, model in _named().items() if isinstance(model, str)}
+
+
+def for_single_frames(name: str) -> str:
+    """The model to take for a quality where every frame is denoised alone; other names as given."""
+    return str(_named()["alone"].get(name, name))
+
+
+def _named() -> dict[str, Any]:
+    return tomllib.loads((_folder() / "qualities.toml").read_text(encoding="utf-8"))
 
 
 #: Files of the whole denoise as one graph, for engines that embed ONNX Runtime themselves.

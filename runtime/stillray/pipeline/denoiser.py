@@ -23,7 +23,12 @@ from stillray.families.registry import FAMILIES
 from stillray.families.saved_state import read_arrays, write_arrays
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
-from stillray.models.registry import DEFAULT_MODEL, ModelInfo, with_overrides
+from stillray.models.registry import (
+    DEFAULT_MODEL,
+    ModelInfo,
+    for_single_frames,
+    with_overrides,
+)
 from stillray.models.session import Provider, WatchedEngine
 from stillray.pipeline.layers import validated
 from stillray.pipeline.opening import engine_of_model, family_of_model, model_of, network_path
@@ -50,7 +55,8 @@ class Denoiser:
         ONNX Runtime execution providers: names, or names with their options; None for the CPU.
         They run the network, and of a frame graph all.
     temporal
-        Whether frames are accumulated; without, each is denoised alone.
+        Whether frames are accumulated; without, each is denoised alone: ``"high"`` is then a model
+        that has learned nothing else, kpyr-5-still.
     max_memory
         Bytes that the process should stay below: larger frames are denoised in tiles, which
         takes longer and differs by rounding. None for whole frames.
@@ -98,10 +104,13 @@ class Denoiser:
         if isinstance(providers, str):
             raise InputError(f"providers must be a sequence of names, got the string '{providers}'")
         chosen = tuple(providers) if providers else None
+        if isinstance(model, str) and not temporal:
+            model = for_single_frames(model)
         self.model = model_of(model)
         if ensemble != 1:
             self.model = with_overrides(self.model, ensemble=ensemble)
-        self.temporal = temporal
+        #: Whether frames are accumulated.
+        self.temporal = temporal and not self.model.spec.training.alone
         self.max_memory = max_memory
         #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
         self.last_timings: dict[str, float] = {}

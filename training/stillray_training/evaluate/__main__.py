@@ -16,7 +16,14 @@ from stillray.cli import program
 from stillray.compare.metrics import METRICS
 from stillray.errors import InputError
 from stillray.io.atomic import atomic_path
-from stillray.models.registry import ModelInfo, find_model, list_models, with_overrides
+from stillray.models.registry import (
+    DEFAULT_MODEL,
+    ModelInfo,
+    find_model,
+    for_single_frames,
+    list_models,
+    with_overrides,
+)
 from stillray_training.evaluate.cases import KINDS, Case, find_cases, titles
 from stillray_training.evaluate.methods import NOISY, choose_peers, left_out
 from stillray_training.evaluate.report import report as page
@@ -61,7 +68,7 @@ def main(
     pictures: Annotated[Path | None, typer.Option(help="Folder for tone-mapped PNGs.")] = None,
 ) -> None:
     """Print every set's metrics, and where a model's picture is worse than its input."""
-    given = model or [info.name for info in list_models()]
+    given = model or [*(info.name for info in list_models()), for_single_frames(DEFAULT_MODEL)]
     models = with_ensembles(
         {text.split("=")[0]: find_model(text.split("=")[-1]) for text in given}, ensemble
     )

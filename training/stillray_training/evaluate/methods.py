@@ -75,8 +75,9 @@ class Methods:
             accumulated = accumulate_frames(frames, next(iter(self.models.values())))[-count:]
             yield ACCUMULATED, accumulated
         for label in self.models:
+            alone = model_of(self.models[label]).spec.training.alone
             yield label, self._denoise(label, frames, count, temporal=has_past)
-            if has_past:
+            if has_past and not alone:
                 single = self._denoise(label, frames[-count:], count, temporal=False)
                 yield one_frame(label), single
         for peer in self.peers:
