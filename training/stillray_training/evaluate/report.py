@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from stillray.compare.metrics import METRICS, Metric
-from stillray.models.registry import find_model
+from stillray.models.registry import find_model, for_single_frames
 from stillray.pipeline.opening import model_of
 from stillray_training.evaluate.methods import Models
 from stillray_training.evaluate.scores import (
@@ -65,7 +65,7 @@ def sections(results: Results, kinds: Mapping[str, str], models: Models) -> str:
     parts = []
     for title, scores in results.items():
         parts += [f"## {title[:1].upper()}{title[1:]}\n", table("mean", mean_scores(scores))]
-        parts.append(distances(scores))
+        parts.append(distances(scores, alone=kinds[title] in ("stills", "fed")))
         if kinds[title] == "sequences":
             parts += [table(case, _of_case(scores, case)) for case in _cases(scores)]
         else:
@@ -73,17 +73,26 @@ def sections(results: Results, kinds: Mapping[str, str], models: Models) -> str:
     return "\n".join(part for part in parts if part) + "\n" + worse(results, list(models))
 
 
-def distances(scores: Scores) -> str:
-    """How far models are from the peers that they are to beat, where both were run; or nothing."""
+def distances(scores: Scores, *, alone: bool = False) -> str:
+    """How far models are from the peers that they are to beat, where both were run; or nothing.
+
+    Parameters
+    ----------
+    scores
+        Of a set.
+    alone
+        Whether its frames have no past, for which a quality may be another model.
+    """
     means = mean_scores(scores)
     rows = []
     for quality, peer in _TO_BEAT:
-        model = find_model(quality).name
-        label = next((name for name in (quality, model) if name in means), "")
+        names = [for_single_frames(quality)] if alone else []
+        names = [quality, *names, find_model(quality).name]
+        label = next((name for name in names if name in means), "")
         if not label or peer not in means:
             continue
         cells = [_distance(metric, means[label], means[peer]) for metric in _measured(means)]
-        called = model if quality == model else f'{model} ("{quality}")'
+        called = label if quality == label else f'{label} ("{quality}")'
         rows.append(f"| {called} against {peer} | " + " | ".join(cells) + " |")
     if not rows:
         return ""
