@@ -133,7 +133,8 @@ def _folder() -> Path:
     return Path(str(resources.files("stillray.models")))
 
 
-#: Folder of models that are found by their name and not listed: those on trial.
+#: Folder of models that are found by their name and not listed: those on trial, and what stands for
+#: a quality where frames have no past.
 UNLISTED = "unlisted"
 
 
