@@ -40,17 +40,23 @@ def test_mirrored_light_and_logits_give_the_mirrored_picture(view, blocks):
     def picture(turn, given):
         of_pixels = [turn.of_pixels(part) for part in (mean, albedo, previous)]
         light = Filterable(
-            mean=of_pixels[0], sample=turn.of_planes(sample), remodulation_albedo=of_pixels[1],
+            mean=of_pixels[0], sample=turned(turn, sample), remodulation_albedo=of_pixels[1],
             previous=of_pixels[2], exposure=1.0,
         )  # fmt: skip
         return model.reconstruct(light, given, Strips(1), {})
 
     straight = picture(VIEWS[0], logits)
-    mirrored = picture(view, model.seen_from(view, logits))
+    mirrored = picture(view, model.seen_from(view, logits, Strips(2), "seen"))
     np.testing.assert_allclose(view.of_pixels(mirrored), straight, rtol=1e-5)
     if view != VIEWS[0]:
-        wrong = picture(view, [view.of_planes(level) for level in logits])
+        wrong = picture(view, [turned(view, level) for level in logits])
         assert np.abs(view.of_pixels(wrong) / straight - 1).max() > 0.1
+
+
+def turned(view, planes):
+    """Planes seen so."""
+    flipped = [axis for axis, is_so in ((1, view.rows), (2, view.columns)) if is_so]
+    return np.ascontiguousarray(np.flip(planes, flipped))
 
 
 def mirrored(frame, view):

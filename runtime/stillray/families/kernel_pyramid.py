@@ -102,14 +102,17 @@ class KernelPyramidModel(TemporalKernels):
         with timed(timings, "reconstruct"):
             return filter_pyramid(light, logits, self._options, strips, toned)
 
-    def seen_from(self, view: View, outputs: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def seen_from(
+        self, view: View, outputs: Sequence[np.ndarray], strips: Strips, name: str
+    ) -> list[np.ndarray]:
         """Logits of a mirrored frame as those of the frame, see `TemporalKernels`."""
         found = []
         for level, given in enumerate(outputs):
             places = seen_from(view, level, self._levels, self._options)
             if len(given) > len(places):  # the finest, by blocks of 2x2 pixels
                 places = [4 * place + corner for place in places for corner in view.corners]
-            found.append(view.of_planes(given, places))
+            out = strips.workspace.array(f"{name}, level {level}", given.shape)
+            found.append(view.of_planes(given, places, strips, out))
         return found
 
     def frozen(

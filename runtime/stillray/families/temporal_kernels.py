@@ -121,8 +121,13 @@ class TemporalKernels(ABC):
             ``"reconstruct"``, and ``"remodulate"`` where that is a pass of its own.
         """
 
-    def seen_from(self, view: View, outputs: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """The network's outputs for a frame, of those for what a view of it is."""
+    def seen_from(
+        self, view: View, outputs: Sequence[np.ndarray], strips: Strips, name: str
+    ) -> list[np.ndarray]:
+        """The network's outputs for a frame, of those for what a view of it is.
+
+        They lie in the workspace of this thread, by a name of their own.
+        """
         raise NotImplementedError
 
     def frozen(
@@ -245,24 +250,31 @@ class TemporalKernels(ABC):
         planes = self._encode(prepared, previous, context)
 
         def pictures() -> Iterator[np.ndarray]:
-            for view in VIEWS[: self.ensemble]:
-                outputs = self._outputs(planes, view, context)
+            for index, view in enumerate(VIEWS[: self.ensemble]):
+                place = "a view" if keep is None else f"view {index}"
+                outputs = self._outputs(planes, view, context, place)
                 if keep is not None:
                     keep.append(outputs)
                 yield self.reconstruct(light, outputs, context.strips, context.timings)
 
         return mean_picture(pictures())
 
-    def _outputs(self, planes: np.ndarray, view: View, context: Context) -> list[np.ndarray]:
-        """What the network says of its input, given to it as a view of it."""
+    def _outputs(
+        self, planes: np.ndarray, view: View, context: Context, place: str
+    ) -> list[np.ndarray]:
+        """What the network says of its input, given to it as a view of it; lies at a place."""
         assert context.engine is not None
         with timed(context.timings, "network"):
             seen = planes
-            if view.changes:  # pixels in steps, or planes
-                turned = view.of_pixels if planes.dtype == np.uint8 else view.of_planes
-                seen = turned(planes[0])[None]
+            if view.changes and planes.dtype == np.uint8:  # pixels in steps
+                seen = view.of_pixels(planes[0])[None]
+            elif view.changes:
+                seen = context.workspace.array("features of a view", planes.shape)
+                view.of_planes(planes[0], range(planes.shape[1]), context.strips, seen[0])
             outputs = list(context.engine.run("network", {"features": seen}).values())
-            return self.seen_from(view, outputs) if view.changes else outputs
+            if not view.changes:
+                return outputs
+            return self.seen_from(view, outputs, context.strips, place)
 
     def _encode(
         self, prepared: Prepared, previous: np.ndarray | None, context: Context

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stillray.arrays.strips import Strips
+
 
 @dataclass(frozen=True)
 class View:
@@ -42,13 +44,42 @@ class View:
         """An image ``(h, w, ...)`` seen so; seen so twice it is itself again."""
         if not self.changes:
             return image
-        code = -1 if self.rows and self.columns else 0 if self.rows else 1  # OpenCV's
-        return np.asarray(cv2.flip(image, code)).reshape(image.shape)
+        return np.asarray(cv2.flip(image, self._code)).reshape(image.shape)
 
-    def of_planes(self, planes: np.ndarray, places: Sequence[int] | None = None) -> np.ndarray:
-        """Planes ``(n, h, w)`` seen so: all, or those at some places, in their order."""
-        chosen = range(len(planes)) if places is None else places
-        return np.stack([self.of_pixels(planes[place]) for place in chosen])
+    def of_planes(
+        self, planes: np.ndarray, places: Sequence[int], strips: Strips, out: np.ndarray
+    ) -> np.ndarray:
+        """Planes seen so.
+
+        Parameters
+        ----------
+        planes : (n, h, w)
+        places
+            Of those that are wanted, in their order.
+        strips
+            Where the work runs.
+        out : (m, h, w)
+            Written and returned.
+        """
+        height, width = planes.shape[1:]
+
+        def work(rows: slice) -> None:
+            source = slice(height - rows.stop, height - rows.start) if self.rows else rows
+            for place, target in zip(places, out, strict=True):
+                if self.changes:
+                    cv2.flip(planes[place, source], self._code, dst=target[rows])
+                else:
+                    target[rows] = planes[place, source]
+
+        strips.run(work, height, width)
+        return out
+
+    @property
+    def _code(self) -> int:
+        """OpenCV's, of another than the frame as it is."""
+        if self.rows and self.columns:
+            return -1
+        return 0 if self.rows else 1
 
 
 #: In the order in which they are taken.
