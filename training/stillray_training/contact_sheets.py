@@ -20,9 +20,9 @@ from stillray.cli import program
 from stillray.compare.display import display_exposure, tone_map
 from stillray.errors import InputError
 from stillray.io.atomic import atomic_path
-from stillray.models.registry import find_model
+from stillray.models.registry import find_model, for_single_frames
 from stillray_training.evaluate.__main__ import find_all
-from stillray_training.evaluate.cases import Case
+from stillray_training.evaluate.cases import WITHOUT_PAST, Case
 from stillray_training.evaluate.methods import NOISY, Methods
 from stillray_training.peers import find_peer
 
@@ -132,7 +132,8 @@ def save(path: Path, page: np.ndarray) -> None:
 
 def pictures(case: Case, model: str) -> tuple[list[tuple[str, np.ndarray]], float]:
     """Rows of a sheet, and the exposure of the reference: of the last frame of a case."""
-    name = find_model(model).name
+    alone = case.kind in WITHOUT_PAST
+    name = find_model(for_single_frames(model) if alone else model).name
     frames, references = case.read()
     with Methods({name: model}, [_PEER]) as methods:
         found: dict[str, Any] = dict(methods.run(case, frames, len(references)))

@@ -21,6 +21,8 @@ from stillray.io.exr.read_write import read_exr
 
 #: The sets of a folder, as ``--only`` takes them.
 KINDS = ("sequences", "frames", "stills", "fed")
+#: Those of them whose frames have no past.
+WITHOUT_PAST = ("stills", "fed")
 _STILLS = "spp"
 
 

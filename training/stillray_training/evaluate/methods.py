@@ -17,7 +17,7 @@ from stillray.models.registry import ModelInfo
 from stillray.pipeline.denoiser import Denoiser
 from stillray.pipeline.opening import model_of
 from stillray.stages.prepare import History, prepare
-from stillray_training.evaluate.cases import Case
+from stillray_training.evaluate.cases import WITHOUT_PAST, Case
 from stillray_training.peers import PEERS, Peer, PeerDenoiser, find_peer
 
 #: Label to model, as `stillray.Denoiser` takes it.
@@ -67,7 +67,7 @@ class Methods:
         count
             How many have references.
         """
-        has_past = case.kind in ("sequences", "frames")
+        has_past = case.kind not in WITHOUT_PAST
         if case.kind != "fed":
             yield NOISY, [frame.color for frame in frames[-count:]]
         accumulated: list[np.ndarray] = []

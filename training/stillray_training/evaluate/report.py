@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from stillray.compare.metrics import METRICS, Metric
 from stillray.models.registry import find_model, for_single_frames
 from stillray.pipeline.opening import model_of
+from stillray_training.evaluate.cases import WITHOUT_PAST
 from stillray_training.evaluate.methods import Models
 from stillray_training.evaluate.scores import (
     BIAS_ALLOWED,
@@ -65,7 +66,7 @@ def sections(results: Results, kinds: Mapping[str, str], models: Models) -> str:
     parts = []
     for title, scores in results.items():
         parts += [f"## {title[:1].upper()}{title[1:]}\n", table("mean", mean_scores(scores))]
-        parts.append(distances(scores, alone=kinds[title] in ("stills", "fed")))
+        parts.append(distances(scores, alone=kinds[title] in WITHOUT_PAST))
         if kinds[title] == "sequences":
             parts += [table(case, _of_case(scores, case)) for case in _cases(scores)]
         else:
