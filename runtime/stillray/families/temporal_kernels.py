@@ -265,12 +265,7 @@ class TemporalKernels(ABC):
         """What the network says of its input, given to it as a view of it; lies at a place."""
         assert context.engine is not None
         with timed(context.timings, "network"):
-            seen = planes
-            if view.changes and planes.dtype == np.uint8:  # pixels in steps
-                seen = view.of_pixels(planes[0])[None]
-            elif view.changes:
-                seen = context.workspace.array("features of a view", planes.shape)
-                view.of_planes(planes[0], range(planes.shape[1]), context.strips, seen[0])
+            seen = _seen(planes, view, context) if view.changes else planes
             outputs = list(context.engine.run("network", {"features": seen}).values())
             if not view.changes:
                 return outputs
@@ -357,6 +352,15 @@ class KernelPlan(Plan):
 
     before_network: TemporalPlan
     tiles: tuple[Tile, ...] = ()
+
+
+def _seen(planes: np.ndarray, view: View, context: Context) -> np.ndarray:
+    """A network's input, pixels in steps or planes, as a view of it."""
+    if planes.dtype == np.uint8:
+        return view.of_pixels(planes[0])[None]
+    seen = context.workspace.array("features of a view", planes.shape)
+    view.of_planes(planes[0], range(planes.shape[1]), context.strips, seen[0])
+    return seen
 
 
 def _views_told(ensemble: int) -> str:

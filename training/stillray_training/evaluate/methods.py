@@ -75,9 +75,8 @@ class Methods:
             accumulated = accumulate_frames(frames, next(iter(self.models.values())))[-count:]
             yield ACCUMULATED, accumulated
         for label in self.models:
-            alone = model_of(self.models[label]).spec.training.alone
             yield label, self._denoise(label, frames, count, temporal=has_past)
-            if has_past and not alone:
+            if self._streams[label, has_past].temporal:
                 single = self._denoise(label, frames[-count:], count, temporal=False)
                 yield one_frame(label), single
         for peer in self.peers:
