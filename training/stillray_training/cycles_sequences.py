@@ -21,6 +21,7 @@ from stillray.cli import program
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.exr.read_write import atomic_path
+from stillray.pixel_filter import filter_spread
 from stillray_training.blender.record import RECORD as RENDERED
 from stillray_training.blender.record import TAKEN
 from stillray_training.own_renders import layers_of
@@ -83,6 +84,7 @@ def take(rendered: Path, out: Path, assets: Path | None = None) -> float | None:
             "references": 1,
         },
         "assets": [_credit(assets, name) for name in given["used"]],
+        "filter_spread": _filter_spread(given),
         "renderer": f"Cycles, Blender {given['blender']}",
     }
     bias = make_targets(out)
@@ -93,6 +95,12 @@ def take(rendered: Path, out: Path, assets: Path | None = None) -> float | None:
     with atomic_path(out / RECORD) as temporary:
         temporary.write_text(json.dumps(record, indent=1))
     return bias
+
+
+def _filter_spread(given: dict[str, Any]) -> float:
+    kind = given["filter"].lower().replace("_", "-")
+    # Cycles takes a box for one pixel, whatever width is set
+    return filter_spread(kind, None if kind == "box" else given["filter_width"])
 
 
 def _read(layout: Layout, path: Path, before: Path | None) -> Frame:

@@ -9,6 +9,7 @@ light may have been another, and with hundreds to thousands, whose noise is that
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -32,7 +33,7 @@ from stillray_training.film import DEVIATIONS, frame_through_film, through_film
 from stillray_training.quiet import fireflies, quiet_frame, uneven_frame
 from stillray_training.shade import moving_shade
 from stillray_training.simulate.sequence import is_complete
-from stillray_training.targets import read_target
+from stillray_training.targets import read_filter, read_target
 
 STARTS = (1, 3, 8)  # frames accumulated before the last one is learned from
 #: How examples differ, and how often a patch is of that kind.
@@ -72,6 +73,7 @@ class Example:
     kind: str = NOISY  # or STILL or QUIET
     sequence: str = ""  # name of its folder
     frames: int = 1  # accumulated
+    filter_spread: float | None = 0.0  # of the pixel filter, pixels; None: not known
 
 
 def find_sequences(folder: Path) -> list[Path]:
@@ -100,7 +102,16 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Examp
         raise InputError(f"{sequence}: must hold frames, frame_0000.exr and on")
     reference, spp = read_target(sequence)
     examples = _all_examples(sequence, frames, reference, spp, spec, strips)
-    return [replace(example, sequence=sequence.name) for example in examples]
+    rendered = read_filter(sequence)
+    return [
+        replace(
+            example,
+            sequence=sequence.name,
+            # variances of filters one after the other add up
+            filter_spread=rendered and math.hypot(rendered, example.filter_spread or 0),
+        )
+        for example in examples
+    ]
 
 
 def _all_examples(
@@ -128,12 +139,12 @@ def _all_examples(
         if index >= stills:
             assert whole.albedo is not None
             frame = uneven_frame(frame, reference, whole.albedo, rng)
-        wanted = reference
+        wanted, deviation = reference, 0.0
         if index < stills and rng.random() < _WIDE:
             deviation = rng.uniform(*DEVIATIONS)
             frame = frame_through_film(frame, deviation)
             wanted = through_film(reference, deviation)
-        example = _example([frame], wanted, spec, strips)
+        example = replace(_example([frame], wanted, spec, strips), filter_spread=deviation)
         examples.append(replace(example, spp=samples, kind=STILL))
     for frame, samples in _quiets(blocks, reference, rng):
         examples.append(_quiet_example(frame, samples, reference, spec, strips, rng))

@@ -8,10 +8,12 @@ import numpy as np
 
 from stillray.errors import InputError
 from stillray.model_spec import ModelSpec
+from stillray.model_spec.loader import PIXEL_FILTER
 from stillray.stages import features as encode
 from stillray_training.examples import NOISY, QUIET, STILL, Example
 
 _SAMPLES_KNOWN = 0.5  # share of patches whose frames say how many samples they have
+_FILTER_KNOWN = 0.75  # and, to networks that ask, what pixel filter they have
 _AT_BORDER = 0.3  # share of patches that touch the top or bottom, and the left or right
 #: Share of patches that are the one of two with more edges: errors are there.
 BUSIER = 0.5
@@ -136,6 +138,9 @@ class PatchSampler:
             depth = None
         # whoever does not say how many samples a frame has is taken to have one
         spp = example.spp if rng.random() < _SAMPLES_KNOWN else 1.0
+        spread = None
+        if PIXEL_FILTER in spec.network.features and rng.random() < _FILTER_KNOWN:
+            spread = example.filter_spread
         stops = rng.uniform(-recipe.exposure_stops, recipe.exposure_stops)
         exposure = float(example.exposure * 2**stops)
         light = encode.tone_map(encode.luminance(mean), exposure)
@@ -150,6 +155,7 @@ class PatchSampler:
             depth=depth,
             depth_unit=example.depth_unit,
             frame_samples=spp,
+            filter_spread=spread,
             demodulation_albedo=demodulation,
         )
         encode.feature_planes(given, spec.temporal, spec.network.features, out=features)

@@ -21,6 +21,7 @@ from stillray.cli import program
 from stillray.compare.display import display_exposure, tone_map
 from stillray.errors import InputError
 from stillray.io.exr.read_write import read_exr
+from stillray.pixel_filter import filter_spread
 from stillray_training.blocks import mean_frame, read_blocks
 from stillray_training.peers.oidn import open_image_denoise
 from stillray_training.simulate.sequence import RECORD, is_complete, write
@@ -41,6 +42,16 @@ def read_target(sequence: Path) -> tuple[np.ndarray, float]:
         raise InputError(f"{sequence}: must hold a reference, ref_0007.exr for frame_0007.exr")
     options = json.loads((sequence / RECORD).read_text())["options"]
     return read_exr(paths[-1]).color, float(options["spp"])
+
+
+def read_filter(sequence: Path) -> float | None:
+    """Standard deviation of the pixel filter that a sequence was rendered with, in pixels.
+
+    None where its record does not say. What stillray's simulator renders has a box.
+    """
+    record = json.loads((sequence / RECORD).read_text())
+    told = record.get("filter_spread", None if "renderer" in record else filter_spread("box"))
+    return None if told is None else float(told)
 
 
 def make_target(sequence: Path) -> float:

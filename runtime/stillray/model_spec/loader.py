@@ -22,10 +22,11 @@ from stillray.errors import InputError
 
 FORMAT = 1
 
+PIXEL_FILTER = "pixel_filter"  # the plane that tells of it
 #: Every network input plane by name, in the order that `stillray.stages.features` describes them.
 FEATURES = (
     "irradiance.r", "irradiance.g", "irradiance.b", "irradiance.luminance",
-    "sample.luminance", "local_luminance", "samples",
+    "sample.luminance", "local_luminance", "samples", PIXEL_FILTER,
     "albedo.r", "albedo.g", "albedo.b", "albedo.luminance",
     "normal.x", "normal.y", "normal.z", "depth",
     "previous.r", "previous.g", "previous.b", "previous.luminance", "previous.valid",

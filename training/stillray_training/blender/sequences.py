@@ -126,7 +126,8 @@ def render_scene(folder: Path, seed: int, options: Options) -> None:
     record = {
         "scene": kind, "seed": seed, "frames": FRAMES, "spp": samples, "blocks": BLOCKS,
         "reference_spp": options.reference, "height": size, "width": size, "used": used,
-        "filter": scene.cycles.pixel_filter_type, "clamp": scene.cycles.sample_clamp_indirect,
+        "filter": scene.cycles.pixel_filter_type, "filter_width": scene.cycles.filter_width,
+        "clamp": scene.cycles.sample_clamp_indirect,
         "motion": options.motion, "blender": bpy.app.version_string,
     }  # fmt: skip
     (folder / RECORD).write_text(json.dumps(record, indent=1))

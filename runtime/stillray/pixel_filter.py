@@ -1,0 +1,85 @@
+"""How wide a renderer's pixel filter is, as one number that its kinds share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from stillray.errors import InputError
+
+#: Standard deviations in pixels, of a filter that a renderer calls so many pixels wide. Widths of
+#: Gaussian and Blackman-Harris are those of Cycles (intern/cycles/scene/film.cpp): a Gaussian's
+#: deviation is a quarter of it, a Blackman-Harris window reaches so far to each side.
+_SPREADS: dict[str, Callable[[float], float]] = {
+    "box": lambda width: width / math.sqrt(12),
+    "triangle": lambda width: width / math.sqrt(24),
+    "gaussian": lambda width: width / 4,
+    "blackman-harris": lambda width: _WINDOW_DEVIATION * 2 * width,
+}
+# Of the window 0.35875 - 0.48829 cos 2 pi t + 0.14128 cos 4 pi t - 0.01168 cos 6 pi t over its
+# length (Harris 1978, 4 terms), by its integral and that times the square of the distance.
+_WINDOW_DEVIATION = math.sqrt(
+    1 / 12 + (-0.48829 + 0.14128 / 4 - 0.01168 / 9) / (2 * math.pi**2 * 0.35875)
+)
+_USUAL_WIDTHS = {"box": 1.0, "triangle": 2.0, "gaussian": 1.5, "blackman-harris": 1.5}
+#: Standard deviation of a filter, in pixels; beyond it is taken for a mistake.
+MOST_SPREAD = 4.0
+
+
+def filter_spread(kind: str, width: float | None = None) -> float:
+    """Standard deviation of a pixel filter, in pixels.
+
+    Parameters
+    ----------
+    kind
+        ``box``, ``triangle``, ``gaussian`` or ``blackman-harris``.
+    width
+        Pixels, above 0: of a box or triangle all of it, of the others as Cycles has it. None: the
+        usual, 1 of a box, 2 of a triangle, 1.5 of the others, which are Blender's.
+
+    Raises
+    ------
+    InputError
+        There is no such filter, or its width is none.
+    """
+    if kind not in _SPREADS:
+        raise InputError(f"pixel filter must be of {', '.join(_SPREADS)}, got {kind}")
+    width = _USUAL_WIDTHS[kind] if width is None else width
+    if not 0 < width < math.inf:
+        raise InputError(f"width of a pixel filter must be above 0 pixels, got {width:g}")
+    return check_spread(_SPREADS[kind](width))
+
+
+def check_spread(spread: float) -> float:
+    """A standard deviation in pixels, as it was given.
+
+    Raises
+    ------
+    InputError
+        It is none of a pixel filter.
+    """
+    if not 0 <= spread <= MOST_SPREAD:  # NaN is not
+        raise InputError(f"filter_spread must be 0 to {MOST_SPREAD:g} pixels, got {spread}")
+    return float(spread)
+
+
+def parse_filter(text: str) -> float:
+    """Standard deviation of a filter that a user names: ``box``, ``gaussian:2`` or a number.
+
+    Raises
+    ------
+    InputError
+        It is none of them.
+    """
+    kind, _, width = text.strip().lower().partition(":")
+    try:
+        if kind not in _SPREADS:
+            return check_spread(float(kind))
+        return filter_spread(kind, float(width) if width else None)
+    except InputError:
+        raise
+    except ValueError:
+        raise InputError(
+            f"pixel filter must be {', '.join(_SPREADS)}, with a width in pixels as in "
+            f"gaussian:2 or without, or its standard deviation in pixels, got {text}"
+        ) from None
