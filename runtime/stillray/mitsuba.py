@@ -157,7 +157,7 @@ class Denoiser:
             raise InputError(
                 f"noisy must have shape {(*self._shape, 3)} or 4 channels, got {picture.shape}"
             )
-        buffers: dict[str, np.ndarray] = {}
+        buffers: dict[str, Any] = {}
         for name, buffer, wanted in (
             ("albedo", "albedo", self._albedo),
             ("normals", "normal", self._normals),

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from numbers import Real
 
 from stillray.errors import InputError
 
+# Of the window 0.35875 - 0.48829 cos 2 pi t + 0.14128 cos 4 pi t - 0.01168 cos 6 pi t over its
+# length (Harris 1978, 4 terms), by its integral and that times the square of the distance.
+_WINDOW_DEVIATION = math.sqrt(
+    1 / 12 + (-0.48829 + 0.14128 / 4 - 0.01168 / 9) / (2 * math.pi**2 * 0.35875)
+)
 #: Standard deviations in pixels, of a filter that a renderer calls so many pixels wide. Widths of
 #: Gaussian and Blackman-Harris are those of Cycles (intern/cycles/scene/film.cpp): a Gaussian's
 #: deviation is a quarter of it, a Blackman-Harris window reaches so far to each side.
@@ -16,11 +22,6 @@ _SPREADS: dict[str, Callable[[float], float]] = {
     "gaussian": lambda width: width / 4,
     "blackman-harris": lambda width: _WINDOW_DEVIATION * 2 * width,
 }
-# Of the window 0.35875 - 0.48829 cos 2 pi t + 0.14128 cos 4 pi t - 0.01168 cos 6 pi t over its
-# length (Harris 1978, 4 terms), by its integral and that times the square of the distance.
-_WINDOW_DEVIATION = math.sqrt(
-    1 / 12 + (-0.48829 + 0.14128 / 4 - 0.01168 / 9) / (2 * math.pi**2 * 0.35875)
-)
 _USUAL_WIDTHS = {"box": 1.0, "triangle": 2.0, "gaussian": 1.5, "blackman-harris": 1.5}
 #: Standard deviation of a filter, in pixels; beyond it is taken for a mistake.
 MOST_SPREAD = 4.0
@@ -58,7 +59,7 @@ def check_spread(spread: float) -> float:
     InputError
         It is none of a pixel filter.
     """
-    if not 0 <= spread <= MOST_SPREAD:  # NaN is not
+    if not isinstance(spread, Real) or not 0 <= spread <= MOST_SPREAD:  # NaN is not
         raise InputError(f"filter_spread must be 0 to {MOST_SPREAD:g} pixels, got {spread}")
     return float(spread)
 

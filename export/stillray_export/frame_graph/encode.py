@@ -9,6 +9,8 @@ from torch import Tensor
 
 from stillray.errors import InputError
 from stillray.model_spec import ModelSpec
+from stillray.model_spec.loader import PIXEL_FILTER
+from stillray.stages.features import FILTER_MIDDLE, FILTER_RANGE
 from stillray_export.frame_graph.light import tone_map
 from stillray_training.decoders.luminance import luminance
 
@@ -29,6 +31,8 @@ class Prepared:
         What radiance is divided by; the last output and how much of it is valid.
     exposure, depth_unit, told
         Scalars: 1 / irradiance, of depth, samples a pixel.
+    filter_spread : (1,) or None
+        Of the renderer's pixel filter, pixels, below 0 where not given; None where nobody asks.
     """
 
     irradiance: Tensor
@@ -44,6 +48,7 @@ class Prepared:
     exposure: Tensor
     depth_unit: Tensor
     told: Tensor
+    filter_spread: Tensor | None = None
 
 
 def feature_planes(frame: Prepared, spec: ModelSpec) -> Tensor:
@@ -62,6 +67,7 @@ def feature_planes(frame: Prepared, spec: ModelSpec) -> Tensor:
         "depth": frame.depth / (frame.depth + frame.depth_unit),
         "previous.valid": frame.valid,
         "samples": _samples(frame, spec),
+        PIXEL_FILTER: _filter(frame),
     }
     for name in spec.network.features:
         if name not in planes:
@@ -89,6 +95,15 @@ def _samples(frame: Prepared, spec: ModelSpec) -> Tensor:
     # to a network that has seen one sample a pixel alone, more look like a long past
     held = frame.held * frame.told if spec.knows_samples else frame.held
     return (held / (held + spec.temporal.max_samples / 4)).sqrt()
+
+
+def _filter(frame: Prepared) -> Tensor:
+    unknown = torch.zeros_like(frame.depth)
+    if frame.filter_spread is None:
+        return unknown
+    spread = frame.filter_spread.reshape(1, 1, 1, 1)
+    told = ((spread - FILTER_MIDDLE) / FILTER_RANGE).clamp(-1, 1)
+    return unknown + torch.where(spread < 0, 0.0, told)
 
 
 def _named(name: str, channels: str, planes: Tensor) -> dict[str, Tensor]:

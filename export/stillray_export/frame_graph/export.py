@@ -125,7 +125,8 @@ def _example(module: FrameGraph) -> list[Tensor]:
     state = [past.mean, past.guides, past.output, past.noise, past.numbers]
     if past.albedo is not None:
         state.append(past.albedo)
-    return [image(3), image(3), image(3), image(), image(2), image(), *state]
+    told = [torch.full((1,), 0.3)] if module.spec.knows_filter else []
+    return [image(3), image(3), image(3), image(), image(2), image(), *told, *state]
 
 
 def _typed(graph: onnx.GraphProto) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -62,6 +62,8 @@ class Buffers:
         The frame's samples.
     moves
         1 where there is a past and motion to bring it here, else 0; scalar.
+    filter_spread : (1,) or None
+        Of the renderer's pixel filter, pixels, below 0 where not given; None where nobody asks.
     """
 
     color: Tensor
@@ -72,6 +74,7 @@ class Buffers:
     broken: Tensor
     counts: SampleCounts
     moves: Tensor
+    filter_spread: Tensor | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,16 +152,18 @@ class FrameGraph(nn.Module):
         depth: Tensor,
         motion: Tensor,
         samples: Tensor,
-        past_mean: Tensor,
-        past_guides: Tensor,
-        past_output: Tensor,
-        past_noise: Tensor,
-        past_numbers: Tensor,
-        past_albedo: Tensor | None = None,
+        *more: Tensor,
     ) -> tuple[Tensor, ...]:
-        """A frame, see `stillray_export.frame_graph.ports`: the picture, then the next state."""
-        past = State(past_mean, past_guides, past_output, past_noise, past_numbers, past_albedo)
+        """A frame, see `stillray_export.frame_graph.ports`: the picture, then the next state.
+
+        ``more`` is the pixel filter's spread, of models that are told it, then the fields of the
+        state.
+        """
+        told = self.spec.knows_filter
+        past = State(*more[1:] if told else more)
         buffers = repaired(color, albedo, normal, depth, motion, samples, past)
+        if told:
+            buffers = replace(buffers, filter_spread=more[0])
         prepared, sample, state = self.prepare(buffers, past)
         image = self.reconstruct(prepared, sample)
         image = image[0].permute(1, 2, 0)
@@ -212,6 +217,7 @@ class FrameGraph(nn.Module):
             exposure=final,
             depth_unit=depth_scale(frame.depth),
             told=counts.told,
+            filter_spread=frame.filter_spread,
         )
         numbers = torch.stack(
             [final, exposure * frame.moves, noise.frames * frame.moves, counts.mean, frames]

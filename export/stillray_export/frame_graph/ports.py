@@ -58,6 +58,15 @@ BUFFERS = (
     ),
 )
 
+_FILTER = Port(
+    name="filter_spread",
+    shape="1",
+    unit="pixels",
+    convention="standard deviation of the renderer's pixel filter: 0.29 of a box, 0.42 of "
+    "Blender's usual one",
+    neutral="-1",
+)
+
 
 def states(spec: ModelSpec) -> tuple[Port, ...]:
     """The state's inputs, in the order of `frame.State`."""
@@ -115,7 +124,8 @@ def ports(spec: ModelSpec) -> Ports:
         )
         for port in state
     ]
-    return Ports(inputs=(*BUFFERS, *state), outputs=(picture, *left))
+    told = [_FILTER] if spec.knows_filter else []
+    return Ports(inputs=(*BUFFERS, *told, *state), outputs=(picture, *left))
 
 
 _COLOR = {

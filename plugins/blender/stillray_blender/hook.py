@@ -31,6 +31,7 @@ class _Rendered(NamedTuple):
     camera: str
     number: int
     samples: int
+    filter_spread: float
 
 
 def denoise_result(engine, rendered: list[_Rendered]) -> None:
@@ -48,7 +49,7 @@ def denoise_result(engine, rendered: list[_Rendered]) -> None:
                 layers[job.layer],
                 size,
                 view.name,
-                samples=job.samples,
+                job=job,
                 motion=settings.temporal and not job.scene.render.use_motion_blur,
             )
             shown = Shown(job.scene.name, job.layer, view.name, job.camera)
@@ -71,6 +72,7 @@ def _layer_rendered(engine, depsgraph) -> None:
         "" if scene.camera is None else scene.camera.name,
         scene.frame_current,
         passes.samples_of(scene, layer),
+        passes.filter_spread_of(scene),
     )
     # kept with the engine, as Cycles keeps its session: several renders may go on at once
     engine.stillray_rendered = [*getattr(engine, "stillray_rendered", []), job]

@@ -81,3 +81,11 @@ def samples_of(scene, layer) -> int:
     if own == 0 or scene.cycles.use_layer_samples == "IGNORE":
         return count
     return min(count, own) if scene.cycles.use_layer_samples == "BOUNDED" else own
+
+
+def filter_spread_of(scene) -> float:
+    """Standard deviation of Cycles' pixel filter, in pixels; a box is one pixel at any width."""
+    from stillray.pixel_filter import filter_spread
+
+    kind = scene.cycles.pixel_filter_type.lower().replace("_", "-")
+    return filter_spread(kind, None if kind == "box" else scene.cycles.filter_width)

@@ -4,7 +4,7 @@
 import numpy as np
 
 
-def frame_of(layer, size: tuple[int, int], view: str, *, samples: int, motion: bool):
+def frame_of(layer, size: tuple[int, int], view: str, *, job, motion: bool):
     """The buffers of one view of a rendered view layer.
 
     Passes are named as Blender names the channels of an EXR file, and taken by the same table.
@@ -16,8 +16,8 @@ def frame_of(layer, size: tuple[int, int], view: str, *, samples: int, motion: b
         Width and height of the render, pixels.
     view
         Name of the eye; empty where there is but one.
-    samples
-        Samples a pixel.
+    job
+        Its ``samples`` a pixel and ``filter_spread``, see `stillray.Frame`.
     motion
         Whether the Vector pass can be used.
 
@@ -38,7 +38,7 @@ def frame_of(layer, size: tuple[int, int], view: str, *, samples: int, motion: b
             continue
         planes = _Planes(held, size)
         buffers[match.role] = gather(match, {name: planes[name] for name in match.channels})
-    return Frame(**{"samples": samples, **buffers})
+    return Frame(**{"samples": job.samples, **buffers}, filter_spread=job.filter_spread)
 
 
 def put_picture(layer, size: tuple[int, int], view: str, picture: np.ndarray) -> None:

@@ -35,6 +35,7 @@ from stillray.models.registry import (
 )
 from stillray.models.session import Provider
 from stillray.pipeline.opening import family_of_model, model_of, network_path
+from stillray.pixel_filter import check_spread
 
 #: Frames of a chunk unless told otherwise: twice as many as are run before it for its history.
 CHUNK_FRAMES = 64
@@ -53,6 +54,8 @@ class ShotOptions:
         of files that hold several, all of which are denoised else, each with its own history.
     samples
         Samples a pixel of the frames, above 0; None for what the files say.
+    filter_spread
+        Standard deviation of the renderer's pixel filter, in pixels; None for what the files say.
     aovs
         Layers of light to filter as the color; empty for all that are known, None for none.
     only_color
@@ -97,6 +100,7 @@ class ShotOptions:
     companions: Mapping[str, str] = field(default_factory=dict)
     layers: Mapping[str, str] = field(default_factory=dict)
     samples: float | None = None
+    filter_spread: float | None = None
     aovs: tuple[str, ...] | None = None
     only_color: bool = False
     frames: str | None = None
@@ -118,6 +122,8 @@ class ShotOptions:
     def __post_init__(self) -> None:
         if self.samples is not None:
             check_samples(self.samples)
+        if self.filter_spread is not None:
+            check_spread(self.filter_spread)
         if self.workers is not None and self.workers < 1:
             raise InputError(f"workers must be 1 or more, got {self.workers}")
         if self.workers is not None and self.scheduler is not None:
@@ -346,6 +352,7 @@ def plan_run(
         only_color=options.only_color,
         temporal=temporal and "motion" not in options.companions,
         samples=options.samples,
+        filter_spread=options.filter_spread,
     )
     _check_outputs(jobs, layout, resume=options.resume)
     chosen, family = _opened(model, options, alone=not temporal or len(jobs) == 1)

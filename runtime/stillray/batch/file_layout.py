@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -55,6 +55,8 @@ class Layout:
         What the motion was proven to mean; None where that is known.
     samples
         Samples a pixel, whatever the files say; None for what they say.
+    filter_spread
+        Of the renderer's pixel filter, pixels, whatever the files say; None for what they say.
     views
         Names of the views, all of which are denoised; empty for one picture, or where ``layers``
         choose a view.
@@ -65,6 +67,7 @@ class Layout:
     only_color: bool = False
     detection: Detection | None = None
     samples: float | None = None
+    filter_spread: float | None = None
     views: tuple[str, ...] = ()
 
     @classmethod
@@ -77,6 +80,7 @@ class Layout:
         only_color: bool = False,
         temporal: bool = True,
         samples: float | None = None,
+        filter_spread: float | None = None,
     ) -> Layout:
         """The layout of consecutive frames; without ``temporal`` no motion is looked at.
 
@@ -101,6 +105,7 @@ class Layout:
             only_color=only_color,
             detection=detect_in_sequence(paths, layers=looked_at) if temporal else None,
             samples=samples,
+            filter_spread=filter_spread,
             views=views,
         )
 
@@ -118,6 +123,8 @@ class Layout:
             "only_color": self.only_color,
             "motion": None if self.detection is None else str(convention),
             "samples": self.samples,
+            # left out where nobody says: then records of older runs, which had no such word, hold
+            **({} if self.filter_spread is None else {"filter_spread": self.filter_spread}),
             **({"views": ",".join(self.views)} if self.views else {}),
         }
 
@@ -149,6 +156,8 @@ class Layout:
                 before=before,
                 samples=self.samples,
             )
+            if self.filter_spread is not None:
+                frame = replace(frame, filter_spread=self.filter_spread)
             lights = {}
             if self.aovs is not None and not is_float_map(path):
                 lights = read_lights(path, self.aovs, layers=layers)

@@ -84,6 +84,14 @@ def denoise(
         float | None,
         typer.Option(help="Samples a pixel of the input, whatever the files say of it."),
     ] = None,
+    pixel_filter: Annotated[
+        str | None,
+        typer.Option(
+            help="The renderer's pixel filter: box, triangle, gaussian or blackman-harris, with a "
+            "width in pixels as in gaussian:2 or without, or its standard deviation in pixels. "
+            "Files of Cycles are taken to have Blender's usual one."
+        ),
+    ] = None,
     aovs: Annotated[
         str | None,
         typer.Option(
@@ -222,6 +230,7 @@ def denoise(
     from stillray.io.channels.roles import parse_overrides
     from stillray.io.exr.views import VIEW
     from stillray.pipeline.tiles import parse_memory
+    from stillray.pixel_filter import parse_filter
 
     companions = {
         "albedo": albedo, "normal": normal, "depth": depth, "motion": motion, "color_b": color_b,
@@ -230,6 +239,7 @@ def denoise(
         companions={role: pattern for role, pattern in companions.items() if pattern is not None},
         layers=parse_overrides(layer or []) | ({} if view is None else {VIEW: view}),
         samples=samples,
+        filter_spread=None if pixel_filter is None else parse_filter(pixel_filter),
         aovs=None if aovs is None else () if aovs == "all" else tuple(aovs.split(",")),
         only_color=only_color,
         frames=frames,

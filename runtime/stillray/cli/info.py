@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from stillray.io.channels.roles import LayerMatch
     from stillray.io.exr.read_write import ExrFile
     from stillray.io.exr.samples import SampleSource
+    from stillray.model_spec import ModelSpec
 
 
 def info(
@@ -62,9 +63,11 @@ def info(
     from stillray.io.exr.views import VIEW
     from stillray.io.file_sequence import expand
     from stillray.io.image_file import is_float_map
+    from stillray.models.registry import for_single_frames
 
     chosen = parse_overrides(layer or []) | ({} if view is None else {VIEW: view})
     paths = [numbered.path for numbered in expand(file)]
+    model = for_single_frames(model) if len(paths) == 1 else model
     if is_float_map(paths[0]):
         _show(_of_float_map(paths[0], model), as_json, _print_facts)
         return
@@ -150,6 +153,7 @@ def _print_stored(facts: dict[str, Any]) -> None:
 def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[str, Any]:
     from stillray.io.channels.motion_detection import detect_in_sequence
     from stillray.io.channels.roles import find_layers
+    from stillray.io.exr.pixel_filter import find_filter
     from stillray.io.exr.read_write import ExrFile, read_exr, require_color
     from stillray.io.exr.samples import find_samples
     from stillray.io.exr.views import VIEW
@@ -162,7 +166,7 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
         matches = [_with_proof(match, detection) for match in matches]
     frame = read_exr(path, layers=chosen, convention=detection.convention if detection else None)
     part = opened.container.parts[opened.channels[matches[0].channels[0]][0]]
-    told, stages = _stages(frame, model)
+    spec, stages = _stages(frame, model)
     return {
         "file": str(path),
         "height": frame.shape[0],
@@ -182,7 +186,9 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
             }
             for match in matches
         ],
-        "samples": _samples(frame, find_samples(opened, matches, chosen)) | {"told": told},
+        "samples": _samples(frame, find_samples(opened, matches, chosen))
+        | {"told": spec.knows_samples},
+        "pixel_filter": asdict(find_filter(opened)) | {"told": spec.knows_filter},
         "color_pixels": _count_pixels(frame.color),
         "warnings": _warnings(frame.normal),
         **stages,
@@ -190,6 +196,7 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
 
 
 def _of_float_map(path: Path, model: str) -> dict[str, Any]:
+    from stillray.io.exr.pixel_filter import FilterSource
     from stillray.io.exr.samples import SampleSource
     from stillray.io.frame_file import read_frame
     from stillray.io.image_file import read_image
@@ -197,7 +204,7 @@ def _of_float_map(path: Path, model: str) -> dict[str, Any]:
     frame = read_frame(path, {})
     channels = ["R", "G", "B"] if read_image(path, "color").shape[2] == 3 else ["Y"]
     kind = "half" if path.suffix.lower() == ".phm" else "float"
-    told, stages = _stages(frame, model)
+    spec, stages = _stages(frame, model)
     window = [0, 0, frame.shape[1], frame.shape[0]]
     return {
         "file": str(path),
@@ -226,15 +233,16 @@ def _of_float_map(path: Path, model: str) -> dict[str, Any]:
                 "note": "",
             }
         ],
-        "samples": _samples(frame, SampleSource()) | {"told": told},
+        "samples": _samples(frame, SampleSource()) | {"told": spec.knows_samples},
+        "pixel_filter": asdict(FilterSource()) | {"told": spec.knows_filter},
         "color_pixels": _count_pixels(frame.color),
         "warnings": [],
         **stages,
     }
 
 
-def _stages(frame: Frame, model: str) -> tuple[bool, dict[str, Any]]:
-    """Whether the model is told of samples; its name, and its stages for a first frame."""
+def _stages(frame: Frame, model: str) -> tuple[ModelSpec, dict[str, Any]]:
+    """The model's specification; its name, and its stages for a first frame."""
     from stillray.pipeline.denoiser import Denoiser
 
     with Denoiser(model) as denoiser:
@@ -242,8 +250,7 @@ def _stages(frame: Frame, model: str) -> tuple[bool, dict[str, Any]]:
             {"name": stage.name, "runs": stage.runs, "reason": stage.reason}
             for stage in denoiser.stages(frame)
         ]
-        told = denoiser.model.spec.knows_samples
-        return told, {"model": denoiser.model.name, "stages": stages}
+        return denoiser.model.spec, {"model": denoiser.model.name, "stages": stages}
 
 
 def _with_proof(match: LayerMatch, detection: Detection) -> LayerMatch:
@@ -277,6 +284,18 @@ def _say_samples(samples: dict[str, Any]) -> str:
         count = f"{samples['least']:g} to {count}, {samples['mean']:.4g} in the mean"
     network = "" if samples["told"] else "; the network is not told, it did not learn with them"
     return f"samples: {count}, from {samples['from']}{note}{network}"
+
+
+def _say_filter(found: dict[str, Any]) -> str:
+    note = f" ({found['note']})" if found["note"] else ""
+    if found["spread"] is None:
+        hint = "; --pixel-filter says it" if found["told"] else ""
+        return f"pixel filter: not known{hint}"
+    network = "" if found["told"] else "; the network is not told, it did not learn with it"
+    return (
+        f"pixel filter: {found['spread']:.2f} pixels of standard deviation, from {found['name']}"
+        f"{note}{network}"
+    )
 
 
 def _count_pixels(color: np.ndarray) -> dict[str, int]:
@@ -329,6 +348,7 @@ def _print_facts(facts: dict[str, Any]) -> None:
     counts = ", ".join(f"{pixels[kind]} {kind}" for kind in ("nan", "infinite", "negative"))
     out.print(f"color pixels: {counts}, of {pixels['total']}")
     out.print(_say_samples(facts["samples"]))
+    out.print(_say_filter(facts["pixel_filter"]))
     for warning in facts["warnings"]:
         out.print(f"warning: {warning}")
     out.print()

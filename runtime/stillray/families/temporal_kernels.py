@@ -297,6 +297,7 @@ class TemporalKernels(ABC):
                 depth_unit=prepared.depth_unit,
                 # to a network that has seen one sample a pixel alone, more look like a long past
                 frame_samples=prepared.counts.for_network if self.spec.knows_samples else 1.0,
+                filter_spread=prepared.filter_spread,
                 demodulation_albedo=None if by is None else by[rows],
             )
             features.feature_planes(

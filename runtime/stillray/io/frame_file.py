@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -87,7 +88,9 @@ def read_frame(
             before=before,
             samples=samples,
         )
-    buffers = {role: _companion(role, name, frame, path) for role, name in maps.items()}
+    buffers: dict[str, Any] = {
+        role: _companion(role, name, frame, path) for role, name in maps.items()
+    }
     return replace(frame, **buffers)
 
 

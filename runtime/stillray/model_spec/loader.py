@@ -548,6 +548,11 @@ class ModelSpec:
         """Whether its network learned what samples a pixel mean, and is told them."""
         return "samples" in self.network.features and self.training.still_share > 0
 
+    @property
+    def knows_filter(self) -> bool:
+        """Whether its network is told the renderer's pixel filter."""
+        return PIXEL_FILTER in self.network.features
+
     def __post_init__(self) -> None:
         if self.format != FORMAT:
             raise SpecError(f"format must be {FORMAT}, got {self.format}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -80,7 +81,7 @@ def filtered(
             raise InputError(
                 f"{other} must have {name}'s size {subject.shape[:2]}, got {image.shape[:2]}"
             )
-    guides = {}
+    guides: dict[str, Any] = {}
     # coefficients of a direction are not divided by albedo, and a guide has no guide
     if name == "color" and encoding is not Encoding.SIGNED:
         guides = {n: _three(images[n]) for n in ("albedo", "normal") if n in images}

@@ -421,6 +421,7 @@ def denoise(
     *,
     depth: np.ndarray | None = None,
     samples: float | np.ndarray | None = None,
+    filter_spread: float | None = None,
     model: str | os.PathLike[str] | ModelInfo = DEFAULT_MODEL,
     threads: int | None = None,
     ensemble: int = 1,
@@ -437,6 +438,8 @@ def denoise(
         Camera z or distance.
     samples : number or (h, w), optional
         Samples a pixel of color, see `Frame`.
+    filter_spread : number, optional
+        Standard deviation of the renderer's pixel filter, in pixels, see `Frame`.
     model, threads, ensemble
         As `Denoiser`'s.
 
@@ -449,7 +452,13 @@ def denoise(
     InputError
         A buffer or the model cannot be used.
     """
+    frame = Frame(
+        color=color,
+        albedo=albedo,
+        normal=normal,
+        depth=depth,
+        samples=samples,
+        filter_spread=filter_spread,
+    )
     with Denoiser(model, threads=threads, temporal=False, ensemble=ensemble) as denoiser:
-        return denoiser.denoise(
-            Frame(color=color, albedo=albedo, normal=normal, depth=depth, samples=samples)
-        )
+        return denoiser.denoise(frame)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -82,7 +83,7 @@ def tiled(frame: Frame, height: int, width: int) -> Frame:
     if frame.shape == (height, width):
         return frame
     rows, columns = -(-height // frame.shape[0]), -(-width // frame.shape[1])
-    buffers = {
+    buffers: dict[str, Any] = {
         field.name: np.ascontiguousarray(cv2.repeat(array, rows, columns)[:height, :width])
         for field in fields(frame)
         if field.name != "jitter" and isinstance(array := getattr(frame, field.name), np.ndarray)

@@ -27,7 +27,7 @@ DISPLAY_GAIN = 2.0
 _GAMMA = 1 / 2.2
 #: Pixels: the standard deviation of a pixel filter at which its plane is 0, as where nobody says,
 #: and how far from that it is 1. A box of one pixel has 0.29, Blender's usual filter 0.42.
-_FILTER_MIDDLE, _FILTER_RANGE = 0.35, 0.15
+FILTER_MIDDLE, FILTER_RANGE = 0.35, 0.15
 _BLOCK = 8  # pixels: blocks whose means give the frame's typical irradiance
 
 
@@ -121,7 +121,7 @@ def filter_feature(spread: float | None) -> float:
     """
     if spread is None:
         return 0.0
-    return min(max((spread - _FILTER_MIDDLE) / _FILTER_RANGE, -1.0), 1.0)
+    return min(max((spread - FILTER_MIDDLE) / FILTER_RANGE, -1.0), 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -92,6 +92,7 @@ def prepare_planned(plan: TemporalPlan, means: Means) -> Prepared:
         disoccluded=pixels.disoccluded,
         history_confidence=pixels.confidence,
         counts=pixels.counts,
+        filter_spread=buffers.filter_spread,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -31,7 +32,7 @@ class Buffers:
 
     Attributes
     ----------
-    color, albedo, normal, depth, motion, samples
+    color, albedo, normal, depth, motion, samples, filter_spread
         As in `Frame`.
     broken : (h, w) bool or None
         Pixels whose color was not finite, or that have no samples, and which are filled in.
@@ -43,12 +44,17 @@ class Buffers:
     depth: np.ndarray | None
     motion: np.ndarray | None
     samples: float | np.ndarray | None = None
+    filter_spread: float | None = None
     broken: np.ndarray | None = None
 
     @classmethod
     def of(cls, frame: Frame) -> Buffers:
         """The buffers as given."""
-        return cls(**{name: getattr(frame, name) for name in _RANGES}, samples=frame.samples)
+        return cls(
+            **{name: getattr(frame, name) for name in _RANGES},
+            samples=frame.samples,
+            filter_spread=frame.filter_spread,
+        )
 
     def in_range(self, rows: slice) -> bool:
         """Whether nothing in these rows needs repair."""
@@ -71,7 +77,7 @@ class Buffers:
         """
         empty = self.samples == 0 if isinstance(self.samples, np.ndarray) else None
         color, broken = repair_radiance(self.color, empty, strips)
-        features = {
+        features: dict[str, Any] = {
             name: None if array is None else repair_feature(array, *_RANGES[name], strips)
             for name in ("albedo", "normal", "depth")
             for array in [getattr(self, name)]

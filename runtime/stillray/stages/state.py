@@ -137,6 +137,8 @@ class Prepared:
         at past outputs.
     counts
         The frame's samples.
+    filter_spread
+        As in `stillray.Frame`.
     """
 
     history: History
@@ -155,6 +157,7 @@ class Prepared:
     disoccluded: np.ndarray | None = None
     history_confidence: np.ndarray | None = None
     counts: SampleCounts = SampleCounts()  # noqa: RUF009  a value that nobody can change
+    filter_spread: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -24,6 +25,7 @@ from stillray.models.registry import (
     list_models,
     with_overrides,
 )
+from stillray.pixel_filter import parse_filter
 from stillray_training.evaluate.cases import KINDS, Case, find_cases, titles
 from stillray_training.evaluate.methods import NOISY, choose_peers, left_out
 from stillray_training.evaluate.report import report as page
@@ -60,6 +62,10 @@ def main(
     stills: Annotated[
         str | None, typer.Option(help="Samples a pixel of the stills, such as 4,16; default: all.")
     ] = None,
+    pixel_filter: Annotated[
+        str | None,
+        typer.Option(help="Of frames whose files do not say: box, ..., as stillray denoise's."),
+    ] = None,
     metrics: Annotated[
         str | None, typer.Option(help=f"Out of {','.join(_METRIC_NAMES)}; default: all but rmse.")
     ] = None,
@@ -82,6 +88,9 @@ def main(
         _listed(only, "only", KINDS) if only else KINDS,
         _counts(stills) if stills else None,
     )
+    if pixel_filter is not None:
+        spread = parse_filter(pixel_filter)
+        cases = [replace(case, filter_spread=spread) for case in cases]
     results = evaluate_cases(
         cases, models, peers=chosen, names=names, pictures=pictures, progress=_shown
     )

@@ -44,6 +44,9 @@ class Case:
         Files in order, up to the last that has a reference.
     references
         Files of the references of the last frames, one each.
+    filter_spread
+        Standard deviation of the pixel filter of frames whose files do not say, in pixels; None
+        where nobody knows.
     """
 
     kind: str
@@ -51,14 +54,20 @@ class Case:
     name: str
     frames: tuple[Path, ...]
     references: tuple[Path, ...]
+    filter_spread: float | None = None
 
     def read(self) -> tuple[list[Frame], list[np.ndarray]]:
         """The frames, and the radiance ``(h, w, 3)`` of the references."""
-        frames = [read_exr(path) for path in self.frames]
+        frames = [self._frame(path) for path in self.frames]
         references = [read_exr(path).color for path in self.references]
         if self.kind == "fed":
             frames = [dataclasses.replace(frames[-1], color=references[-1])]
         return frames, references
+
+    def _frame(self, path: Path) -> Frame:
+        frame = read_exr(path)
+        told = self.filter_spread if frame.filter_spread is None else frame.filter_spread
+        return dataclasses.replace(frame, filter_spread=told)
 
 
 def find_cases(

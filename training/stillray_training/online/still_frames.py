@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -72,7 +72,7 @@ def run(
     rng = np.random.default_rng(0)
     with Denoiser(model) as denoiser:
         for number in range(1, frames + 1):
-            halves = {name: noisy(clean, rng) for name in ("color", "color_b")}
+            halves: dict[str, Any] = {name: noisy(clean, rng) for name in ("color", "color_b")}
             frame = dataclasses.replace(features, **halves)
             image = denoiser.denoise(frame) if learns else without_learning(denoiser, frame)
             if number & (number - 1) == 0 or number == frames:

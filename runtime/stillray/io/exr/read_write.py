@@ -30,6 +30,7 @@ from stillray.io.exr.container import Window
 from stillray.io.exr.file import Channels, ExrFile
 from stillray.io.exr.jitter import find_jitter
 from stillray.io.exr.openimageio import checked_container, opened, openimageio, reason
+from stillray.io.exr.pixel_filter import find_filter
 from stillray.io.exr.rewrite import rewrite, unkept
 from stillray.io.exr.samples import find_samples
 from stillray.io.exr.views import VIEW
@@ -108,7 +109,7 @@ def read_exr(
     ------
     InputError
         A file cannot be read completely, lacks its buffer, or differs in size; a channel of
-        samples holds what no count can be.
+        samples holds what no count can be, or the attribute of the pixel filter none.
     """
     file = ExrFile.of_layers(path, layers)
     given = {role: Path(companion) for role, companion in (companions or {}).items()}
@@ -143,6 +144,7 @@ def read_exr(
     else:
         buffers["samples"] = source.number if samples is None else samples
     buffers["jitter"] = find_jitter(file)
+    buffers["filter_spread"] = find_filter(file).spread
     return Frame(**buffers)
 
 

@@ -14,7 +14,8 @@ from stillray.io.exr.file import ExrFile
 
 #: The attribute by which any program can tell: text or a number.
 OWN_ATTRIBUTE = "stillray:samples"
-_CYCLES = re.compile(r"cycles\.(.+)\.samples")
+#: What Cycles writes of each view layer.
+CYCLES_SAMPLES = re.compile(r"cycles\.(.+)\.samples")
 _MAXIMUM = "the maximum, where adaptive sampling was on: --samples N says it better"
 _NUMBERS = {"int": "<i", "float": "<f", "double": "<d"}
 
@@ -64,7 +65,7 @@ def find_samples(
     attributes = _attributes(file, own)
     if OWN_ATTRIBUTE in attributes:
         return _of_attribute(attributes[OWN_ATTRIBUTE])
-    layers = {hit[1]: name for name in attributes if (hit := _CYCLES.fullmatch(name))}
+    layers = {hit[1]: name for name in attributes if (hit := CYCLES_SAMPLES.fullmatch(name))}
     named = [name for layer, name in layers.items() if own.startswith(f"{layer}.")]
     # of View and View.001 the longer is meant; a composite belongs to no view layer, but to all
     names = [max(named, key=len)] if named else sorted(layers.values())
