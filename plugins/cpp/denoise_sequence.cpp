@@ -68,8 +68,10 @@ class Denoiser {
     }
     float unknown = -1;  // what a buffer holds that is not given is its neutral value, 1 by 1 pixel
     const int64_t one[] = {1, 1};
-    names.push_back("samples");
-    inputs.push_back(Ort::Value::CreateTensor<float>(memory_, &unknown, 1, one, 2));
+    for (const char* name : {"samples", "filter_spread"}) {
+      names.push_back(name);
+      inputs.push_back(Ort::Value::CreateTensor<float>(memory_, &unknown, 1, one, 2));
+    }
     for (size_t index = 0; index < kStates.size(); ++index) {
       names.push_back(kStates[index].past);
       inputs.push_back(std::move(state_[index]));

@@ -9,6 +9,7 @@ const BUFFERS = {
   depth: [0, 0],
   motion: [2, 1e7],
   samples: [0, -1],
+  filter_spread: [0, -1],
 };
 
 const shapeOf = (height, width, channels) =>
@@ -60,10 +61,12 @@ export class Denoiser {
    *
    * Frames run in the order of the calls. A frame of another size than the last begins anew.
    *
-   * @param frame  { width, height, color, albedo?, normal?, depth?, motion?, samples? }: row-major
+   * @param frame  { width, height, color, albedo?, normal?, depth?, motion?, samples?,
+   *               filter_spread? }: row-major
    *               Float32Array from the top left; color, albedo and normal with 3 values a pixel,
    *               motion with 2 (pixels to where the point was in the last frame, x right, y
-   *               down), depth and samples with 1; samples may be one number
+   *               down), depth and samples with 1; samples may be one number,
+   *               filter_spread is one: the standard deviation of the pixel filter, pixels
    * @returns Float32Array of width * height * 3 values, scene-linear radiance
    */
   denoise(frame) {
@@ -102,6 +105,7 @@ export class Denoiser {
     if (!(width > 0 && height > 0)) throw new RangeError('a frame needs width and height');
     const feeds = { color: this.#image('color', frame.color, height, width, 3) };
     for (const [name, [channels, neutral]] of Object.entries(BUFFERS)) {
+      if (!this.#session.inputNames.includes(name)) continue; // graphs made before it was known
       const value = frame[name] ?? neutral;
       feeds[name] =
         typeof value === 'number'

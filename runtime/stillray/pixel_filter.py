@@ -23,6 +23,8 @@ _SPREADS: dict[str, Callable[[float], float]] = {
     "blackman-harris": lambda width: _WINDOW_DEVIATION * 2 * width,
 }
 _USUAL_WIDTHS = {"box": 1.0, "triangle": 2.0, "gaussian": 1.5, "blackman-harris": 1.5}
+BOX_SPREAD = _SPREADS["box"](_USUAL_WIDTHS["box"])
+SOFT_SPREAD = _SPREADS["blackman-harris"](_USUAL_WIDTHS["blackman-harris"])
 #: Standard deviation of a filter, in pixels; beyond it is taken for a mistake.
 MOST_SPREAD = 4.0
 
@@ -49,6 +51,17 @@ def filter_spread(kind: str, width: float | None = None) -> float:
     if not 0 < width < math.inf:
         raise InputError(f"width of a pixel filter must be above 0 pixels, got {width:g}")
     return check_spread(_SPREADS[kind](width))
+
+
+def filter_sharpness(spread: float | None) -> float:
+    """How nearly a filter is a box, whose glints end with their pixel.
+
+    1 of a box of one pixel, of a sharper filter, and where nobody said; 0 of Blender's usual one,
+    and of softer ones; between them by the spread.
+    """
+    if spread is None:
+        return 1.0
+    return min(max((SOFT_SPREAD - spread) / (SOFT_SPREAD - BOX_SPREAD), 0.0), 1.0)
 
 
 def check_spread(spread: float) -> float:

@@ -10,6 +10,7 @@ from torch import Tensor
 from stillray.errors import InputError
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import PIXEL_FILTER
+from stillray.pixel_filter import BOX_SPREAD, SOFT_SPREAD
 from stillray.stages.features import FILTER_MIDDLE, FILTER_RANGE
 from stillray_export.frame_graph.light import tone_map
 from stillray_training.decoders.luminance import luminance
@@ -31,8 +32,9 @@ class Prepared:
         What radiance is divided by; the last output and how much of it is valid.
     exposure, depth_unit, told
         Scalars: 1 / irradiance, of depth, samples a pixel.
-    filter_spread : (1,) or None
-        Of the renderer's pixel filter, pixels, below 0 where not given; None where nobody asks.
+    filter_spread
+        Scalar: of the renderer's pixel filter, pixels, below 0 where not given; None where nobody
+        asks.
     """
 
     irradiance: Tensor
@@ -97,11 +99,19 @@ def _samples(frame: Prepared, spec: ModelSpec) -> Tensor:
     return (held / (held + spec.temporal.max_samples / 4)).sqrt()
 
 
+def filter_sharpness(spread: Tensor | None) -> Tensor | float:
+    """The twin of `stillray.pixel_filter.filter_sharpness`; below 0 nobody said."""
+    if spread is None:
+        return 1.0
+    # what is below 0 lies on the box's side, as it should
+    return ((SOFT_SPREAD - spread) / (SOFT_SPREAD - BOX_SPREAD)).clamp(0, 1)
+
+
 def _filter(frame: Prepared) -> Tensor:
     unknown = torch.zeros_like(frame.depth)
-    if frame.filter_spread is None:
+    spread = frame.filter_spread
+    if spread is None:
         return unknown
-    spread = frame.filter_spread.reshape(1, 1, 1, 1)
     told = ((spread - FILTER_MIDDLE) / FILTER_RANGE).clamp(-1, 1)
     return unknown + torch.where(spread < 0, 0.0, told)
 

@@ -125,7 +125,7 @@ def _example(module: FrameGraph) -> list[Tensor]:
     state = [past.mean, past.guides, past.output, past.noise, past.numbers]
     if past.albedo is not None:
         state.append(past.albedo)
-    told = [torch.full((1,), 0.3)] if module.spec.knows_filter else []
+    told = [image()] if module.spec.knows_filter else []
     return [image(3), image(3), image(3), image(), image(2), image(), *told, *state]
 
 

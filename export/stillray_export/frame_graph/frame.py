@@ -22,7 +22,7 @@ from stillray_export.frame_graph.accumulation import (
 )
 from stillray_export.frame_graph.albedo import accumulate_albedo
 from stillray_export.frame_graph.dilation import follow_nearer
-from stillray_export.frame_graph.encode import Prepared, feature_planes
+from stillray_export.frame_graph.encode import Prepared, feature_planes, filter_sharpness
 from stillray_export.frame_graph.exposure import depth_scale, frame_exposure, steady_exposure
 from stillray_export.frame_graph.light import local_luminance, tone_map
 from stillray_export.frame_graph.lookup import grid
@@ -62,8 +62,9 @@ class Buffers:
         The frame's samples.
     moves
         1 where there is a past and motion to bring it here, else 0; scalar.
-    filter_spread : (1,) or None
-        Of the renderer's pixel filter, pixels, below 0 where not given; None where nobody asks.
+    filter_spread
+        Scalar: of the renderer's pixel filter, pixels, below 0 where not given; None where nobody
+        asks.
     """
 
     color: Tensor
@@ -163,7 +164,7 @@ class FrameGraph(nn.Module):
         past = State(*more[1:] if told else more)
         buffers = repaired(color, albedo, normal, depth, motion, samples, past)
         if told:
-            buffers = replace(buffers, filter_spread=more[0])
+            buffers = replace(buffers, filter_spread=more[0].amax())
         prepared, sample, state = self.prepare(buffers, past)
         image = self.reconstruct(prepared, sample)
         image = image[0].permute(1, 2, 0)
@@ -316,7 +317,8 @@ class FrameGraph(nn.Module):
             # without albedo the stages divide by nothing, and this graph by that of black
             absent = (frame.albedo.amax() <= 0).to(torch.float32)
             exposure = frame.exposure / (1 + self.spec.demodulate.specular * absent)
-            tone = toned * exposure.reshape(1, 1, 1, 1)
+            sharpness = filter_sharpness(frame.filter_spread)
+            tone = toned * sharpness * exposure.reshape(1, 1, 1, 1)
         return resolve(image, weights, frame.previous, frame.valid, tone)
 
 

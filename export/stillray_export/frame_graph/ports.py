@@ -60,10 +60,10 @@ BUFFERS = (
 
 _FILTER = Port(
     name="filter_spread",
-    shape="1",
+    shape=_IMAGE,
     unit="pixels",
-    convention="standard deviation of the renderer's pixel filter: 0.29 of a box, 0.42 of "
-    "Blender's usual one",
+    convention="standard deviation of the renderer's pixel filter, one number in a tensor of 1, 1: "
+    "0.29 of a box, 0.42 of Blender's usual one",
     neutral="-1",
 )
 

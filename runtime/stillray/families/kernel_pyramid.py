@@ -128,7 +128,7 @@ class KernelPyramidModel(TemporalKernels):
         list of arrays
             The outputs, then what is compared of the color, ``(h + 2, w + 2)``, where it is.
         """
-        if not self._options.resolve_tone:
+        if not _tone(light, self._options):
             return outputs
         outputs = numbers(outputs)
         height, width = light.mean.shape[:2]
@@ -143,6 +143,11 @@ class KernelPyramidModel(TemporalKernels):
         strips.run(work, height, width)
         _repeat_border(toned, top=True, bottom=True)
         return [*outputs, toned]
+
+
+def _tone(light: Filterable, options: PyramidKernels) -> float:
+    """What luminance is multiplied by before neighbours are compared; 0: they are not."""
+    return options.resolve_tone * light.exposure * light.filter_sharpness
 
 
 def filter_pyramid(
@@ -367,7 +372,7 @@ class _Level:
         around: np.ndarray | None = None
         if toned is not None:
             around = toned[rows.start : rows.stop + 2].copy()
-        elif self.options.resolve_tone:
+        elif _tone(light, self.options):
             around = self.toned(padded, light, workspace)
         past = None if light.previous is None else light.previous[rows]
         logits = self.logits[self.layout.resolve, rows][..., : out.shape[1]]
@@ -381,7 +386,7 @@ class _Level:
     def toned(self, padded: np.ndarray, light: Filterable, workspace: Workspace) -> np.ndarray:
         """What tells a picture's brighter pixels, ``(3, h, w)`` to ``(h, w)``: 1 + tone L."""
         toned = luminance_of_planes(padded, workspace.array("toned", padded.shape[1:]))
-        toned *= self.options.resolve_tone * light.exposure
+        toned *= _tone(light, self.options)
         toned += 1
         return toned
 

@@ -20,6 +20,7 @@ from stillray.arrays.workspace import Workspace
 from stillray.families.contract import Context
 from stillray.families.views import mean_picture
 from stillray.model_spec.loader import ModelSpec
+from stillray.pixel_filter import filter_sharpness
 from stillray.stages import accumulate as acc
 from stillray.stages import previous_output
 from stillray.stages import reproject as rep
@@ -98,6 +99,7 @@ class FilteredLayers:
             sample=sample,
             remodulation_albedo=None if irradiance else prepared.remodulation_albedo,
             previous=self._previous(name),
+            filter_sharpness=filter_sharpness(prepared.filter_spread),
         )
         image = mean_picture(
             self._kernels.reconstruct(own, outputs, self._strips, {}) for outputs in self._frozen

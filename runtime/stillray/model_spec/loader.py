@@ -198,6 +198,11 @@ class Decoder:
         """How many pictures of mirrored frames it can average."""
         return 1
 
+    @property
+    def minds_filter(self) -> bool:
+        """Whether it looks at the renderer's pixel filter."""
+        return False
+
     def with_ensemble(self, size: int) -> Self:
         """The same as the mean of so many pictures, 1 to `most_ensemble`.
 
@@ -294,6 +299,7 @@ class PyramidKernels(Decoder):
     filter_features: int = 0
     # In the resolve a neighbour brighter than the pixel weighs (1 + tone x) / (1 + tone y) of what
     # the network says, x and y being the exposed luminance of pixel and neighbour; 0: all of it.
+    # Less where the renderer's pixel filter is softer than a box, up to none of it.
     resolve_tone: float = 0.0
     # Views of a frame whose pictures are averaged, 1 to 4, see `stillray.families.views`.
     ensemble: int = 1
@@ -315,6 +321,10 @@ class PyramidKernels(Decoder):
     @property
     def most_ensemble(self) -> int:
         return MOST_ENSEMBLE
+
+    @property
+    def minds_filter(self) -> bool:
+        return self.resolve_tone > 0
 
     def with_ensemble(self, size: int) -> Self:
         return dataclasses.replace(self, ensemble=size)
@@ -550,8 +560,8 @@ class ModelSpec:
 
     @property
     def knows_filter(self) -> bool:
-        """Whether its network is told the renderer's pixel filter."""
-        return PIXEL_FILTER in self.network.features
+        """Whether its network or its resolve is told the renderer's pixel filter."""
+        return PIXEL_FILTER in self.network.features or self.decoder.minds_filter
 
     def __post_init__(self) -> None:
         if self.format != FORMAT:

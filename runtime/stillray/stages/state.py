@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stillray.pixel_filter import filter_sharpness
 from stillray.stages.history_rejection import Noise
 from stillray.stages.sample_counts import SampleCounts
 
@@ -176,6 +177,8 @@ class Filterable:
         Radiance of the previous output at these pixels, and how much of it is valid, [0, 1].
     exposure
         1 / irradiance.
+    filter_sharpness
+        See `stillray.pixel_filter.filter_sharpness`.
     """
 
     mean: np.ndarray
@@ -183,6 +186,7 @@ class Filterable:
     remodulation_albedo: np.ndarray | None = None
     previous: np.ndarray | None = None
     exposure: float = 1.0
+    filter_sharpness: float = 1.0
 
 
 def filterable(prepared: Prepared, previous: np.ndarray | None) -> Filterable:
@@ -193,4 +197,5 @@ def filterable(prepared: Prepared, previous: np.ndarray | None) -> Filterable:
         remodulation_albedo=prepared.remodulation_albedo,
         previous=previous,
         exposure=prepared.history.exposure,
+        filter_sharpness=filter_sharpness(prepared.filter_spread),
     )
