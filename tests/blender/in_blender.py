@@ -10,6 +10,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 ZIP, FOLDER = Path(sys.argv[1]), Path(sys.argv[2])
@@ -100,12 +101,15 @@ def picture(path: Path) -> np.ndarray:
     return np.stack([planes[f"ViewLayer.Combined.{c}"] for c in "RGB"], axis=-1)
 
 
-def by_the_api(folder: Path, *, temporal: bool, ensemble: int = 1) -> list[np.ndarray]:
-    """What stillray itself makes of saved renders."""
+def by_the_api(
+    folder: Path, *, temporal: bool, ensemble: int = 1, told: dict | None = None
+) -> list[np.ndarray]:
+    """What stillray itself makes of saved renders, and of what is told beside."""
     import stillray
 
+    frames = (replace(stillray.read_exr(p), **(told or {})) for p in sorted(folder.glob("*.exr")))
     with stillray.Denoiser("high", temporal=temporal, ensemble=ensemble) as denoiser:
-        return [denoiser.denoise(stillray.read_exr(p)) for p in sorted(folder.glob("*.exr"))]
+        return [denoiser.denoise(frame) for frame in frames]
 
 
 def worst(pictures: list[np.ndarray], folder: Path) -> float:
@@ -159,6 +163,13 @@ def try_hook_and_operator() -> None:
     both = by_the_api(noisy, temporal=False, ensemble=2)
     found["ensemble"] = worst(both, animation(scene, "ensemble"))
     scene.stillray.ensemble = 1
+    scene.cycles.pixel_filter_type = "BOX"
+    boxed = animation(scene, "boxed", on=False)
+    want_boxed = by_the_api(boxed, temporal=False, told={"filter_spread": 12**-0.5})
+    found["box filter"] = worst(want_boxed, animation(scene, "clean box"))
+    untold = by_the_api(boxed, temporal=False)
+    found["box taken for Blender's usual filter"] = worst(untold, FOLDER / "clean box")
+    scene.cycles.pixel_filter_type = "BLACKMAN_HARRIS"
     scene.stillray.temporal = scene.render.use_persistent_data = True
     found["data kept"] = worst(want, animation(scene, "kept"))
     scene.cycles.use_auto_tile, scene.cycles.tile_size = True, 32

@@ -57,9 +57,13 @@ def test_rendered_frames_are_what_the_api_makes_of_noisy_ones(found):
     assert found["hook, half"] < HALF
 
 
-@pytest.mark.parametrize("how", ["alone", "ensemble", "data kept", "tiled", "bare"])
+@pytest.mark.parametrize("how", ["alone", "ensemble", "box filter", "data kept", "tiled", "bare"])
 def test_also_in_other_renders(found, how):
     assert found[how] < 1e-6
+
+
+def test_the_scene_s_pixel_filter_is_told(found):
+    assert found["box taken for Blender's usual filter"] > 1e-3
 
 
 def test_other_passes_stay(found):

@@ -62,6 +62,14 @@ def test_layers_add_up_where_pixels_and_frames_differ_in_samples(rng):
             np.testing.assert_allclose(added(layers), image, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("spread", [0.2887, 0.35, 0.4155])
+def test_layers_add_up_of_any_pixel_filter(spread):
+    with stillray.Denoiser("kpyr-5s") as denoiser:
+        for index, frame in enumerate(frames(3, filter_spread=spread)):
+            image, layers = denoiser.denoise_layers(frame, split(frame.color, index))
+            np.testing.assert_allclose(added(layers), image, rtol=1e-5, atol=1e-5)
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_beauty_is_the_same_with_layers_and_without(model):
     with stillray.Denoiser(model) as alone, stillray.Denoiser(model) as together:

@@ -99,6 +99,19 @@ def test_every_feature_lands_in_the_plane_of_its_name(spec, rng):
     np.testing.assert_allclose(out, expected, rtol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("spread", "told"), [(None, 0), (0.35, 0), (0.275, -0.5), (0.425, 0.5), (0.0, -1), (2.0, 1)]
+)
+def test_the_pixel_filter_s_plane_is_its_spread_from_the_middle(spread, told, spec):
+    mean = np.ones((3, 4, 4), np.float32)
+    out = np.full((1, 3, 4), np.nan, np.float32)
+    given = encode.FeatureInputs(
+        mean=mean, local=mean[..., 0], exposure=1.0, sample=mean[..., 0], filter_spread=spread
+    )
+    encode.feature_planes(given, spec.temporal, ("pixel_filter",), out=out)
+    np.testing.assert_allclose(out, told, atol=1e-6)
+
+
 def test_the_paper_s_planes_are_displayed_radiance_and_normals_from_0_to_1(spec, rng):
     mean = rng.lognormal(0, 1, (6, 7, 4)).astype(np.float32)
     mean[2, 3, :3] = 1e30  # white

@@ -17,10 +17,12 @@ from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
 from stillray.io.exr.read_write import read_exr  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
+from stillray.pixel_filter import filter_spread  # noqa: E402
 from stillray_training.blender.record import RECORD, TAKEN  # noqa: E402
 from stillray_training.cycles_sequences import main, take  # noqa: E402
 from stillray_training.examples import QUIET, STILL, find_sequences, load_examples  # noqa: E402
 from stillray_training.provenance import assets_of  # noqa: E402
+from stillray_training.targets import read_filter  # noqa: E402
 from tests.conftest import clean_color, make_frame  # noqa: E402
 from tests.training.test_own_renders import write_render  # noqa: E402
 
@@ -41,7 +43,7 @@ def rendered(tmp_path):
     record = {
         "scene": "cycles_room", "seed": 7, "frames": 2, "spp": 2, "blocks": [1, 4],
         "reference_spp": 64, "height": SIZE, "width": SIZE, "used": ["cup"], "clamp": 10.0,
-        "blender": "5.0.1",
+        "filter": "BLACKMAN_HARRIS", "filter_width": 2.0, "blender": "5.0.1",
     }  # fmt: skip
     (folder / RECORD).write_text(json.dumps(record))
     asset = {
@@ -64,6 +66,11 @@ def test_a_scene_becomes_a_sequence_that_training_reads(rendered, tmp_path):
     np.testing.assert_allclose(frame.depth, noisy.depth, rtol=1e-5)
     assert frame.motion is not None
     examples = load_examples(out, load("kpyr-5"), Strips(1))
+    # some come through a wider filter, whose variance adds to that of the render's
+    rendered_with = filter_spread("blackman-harris", 2.0)
+    assert min(e.filter_spread for e in examples) == pytest.approx(rendered_with)
+    wider = [e.filter_spread for e in examples if e.filter_spread > rendered_with * 1.001]
+    assert all(0.3**2 < w**2 - rendered_with**2 < 0.6**2 for w in wider)
     alone = {e.spp for e in examples if e.kind == STILL and e.frames == 1}
     assert alone <= {1, 2, 3, 4, 5, 6, 7}
     assert min(e.spp for e in examples if e.kind == QUIET) > 7
@@ -72,6 +79,28 @@ def test_a_scene_becomes_a_sequence_that_training_reads(rendered, tmp_path):
     assert np.abs(reference - target).max() > 0
     np.testing.assert_array_equal(examples[0].reference, target)
     assert take(rendered, out, tmp_path / "assets") is None
+
+
+@pytest.mark.parametrize(
+    ("told", "spread"),
+    [
+        ({"filter": "BOX"}, filter_spread("box")),
+        ({"filter": "GAUSSIAN", "filter_width": 2.0}, 0.5),
+        ({"filter": "BLACKMAN_HARRIS"}, None),
+        ({}, None),
+    ],
+)
+def test_what_a_record_says_of_the_filter_is_kept_and_nothing_is_guessed(
+    told, spread, rendered, tmp_path
+):
+    record = json.loads((rendered / RECORD).read_text())
+    record = {k: v for k, v in record.items() if not k.startswith("filter")} | told
+    (rendered / RECORD).write_text(json.dumps(record))
+    out = tmp_path / "data" / "cycles_room-00007-0"
+    take(rendered, out, tmp_path / "assets")
+    assert read_filter(out) == spread
+    examples = load_examples(out, load("kpyr-5"), Strips(1))
+    assert all((e.filter_spread is None) == (spread is None) for e in examples)
 
 
 def test_a_scene_without_light_is_left_out(rendered, tmp_path):

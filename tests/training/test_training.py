@@ -15,6 +15,8 @@ from stillray.errors import InputError  # noqa: E402
 from stillray.io.exr.read_write import read_exr, write_channels  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray.models.registry import list_models  # noqa: E402
+from stillray.pixel_filter import filter_spread  # noqa: E402
+from stillray.stages.features import filter_feature  # noqa: E402
 from stillray_training import patch_training, patches, provenance, run, train  # noqa: E402
 from stillray_training.checkpoint import CHECKPOINT  # noqa: E402
 from stillray_training.examples import (  # noqa: E402
@@ -131,6 +133,22 @@ def test_blocks_give_frames_of_more_samples(blocks, small):
     sampler = PatchSampler(examples, dataclasses.replace(small, training=recipe))
     planes = [sampler.batch(step).features for step in range(4)]
     assert np.concatenate(planes)[:, small.network.features.index("samples")].max() > 0.7
+
+
+def test_a_network_that_asks_is_told_the_filter_in_three_of_four_patches(blocks, small):
+    network = dataclasses.replace(
+        small.network, features=(*small.network.features[:-1], "pixel_filter")
+    )
+    spec = dataclasses.replace(small, network=network)
+    examples = load_examples(blocks, spec, Strips(1))
+    box = filter_feature(filter_spread("box"))  # what the simulator renders with
+    assert {filter_feature(e.filter_spread) for e in examples if e.kind != STILL} == {box}
+    sampler = PatchSampler(examples, spec)
+    planes = np.concatenate([sampler.batch(step).features[:, -1] for step in range(60)])
+    assert all(np.ptp(plane) == 0 for plane in planes)
+    told = planes[:, 0, 0] != 0
+    assert 0.6 < told.mean() < 0.9
+    assert planes.min() == np.float32(box)
 
 
 def test_a_model_of_single_frames_never_sees_a_past(blocks, small):

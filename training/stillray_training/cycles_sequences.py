@@ -28,6 +28,7 @@ from stillray_training.own_renders import layers_of
 from stillray_training.simulate.sequence import RECORD, is_complete, write
 from stillray_training.targets import make_targets
 
+_FILTERS = {"GAUSSIAN": "gaussian", "BLACKMAN_HARRIS": "blackman-harris"}  # as Cycles names them
 _BRIGHTNESS = 0.03  # by which a target may be off its reference: more, and it teaches that, too
 
 
@@ -97,10 +98,12 @@ def take(rendered: Path, out: Path, assets: Path | None = None) -> float | None:
     return bias
 
 
-def _filter_spread(given: dict[str, Any]) -> float:
-    kind = given["filter"].lower().replace("_", "-")
-    # Cycles takes a box for one pixel, whatever width is set
-    return filter_spread(kind, None if kind == "box" else given["filter_width"])
+def _filter_spread(given: dict[str, Any]) -> float | None:
+    """Of the pixel filter that a scene was rendered with; None of records that lack its width."""
+    kind, width = given.get("filter"), given.get("filter_width")
+    if kind == "BOX":  # which Cycles takes for one pixel, whatever width is set
+        return filter_spread("box")
+    return None if kind is None or width is None else filter_spread(_FILTERS[kind], width)
 
 
 def _read(layout: Layout, path: Path, before: Path | None) -> Frame:

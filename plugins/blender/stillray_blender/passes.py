@@ -87,5 +87,7 @@ def filter_spread_of(scene) -> float:
     """Standard deviation of Cycles' pixel filter, in pixels; a box is one pixel at any width."""
     from stillray.pixel_filter import filter_spread
 
-    kind = scene.cycles.pixel_filter_type.lower().replace("_", "-")
-    return filter_spread(kind, None if kind == "box" else scene.cycles.filter_width)
+    kind = scene.cycles.pixel_filter_type
+    if kind == "BOX":
+        return filter_spread("box")
+    return filter_spread(kind.lower().replace("_", "-"), scene.cycles.filter_width)

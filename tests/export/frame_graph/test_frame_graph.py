@@ -28,6 +28,7 @@ _NEUTRAL = {
     "depth": (0,),
     "motion": (1e7, 2),
     "samples": (-1,),
+    "filter_spread": (-1,),
 }
 
 
@@ -113,8 +114,9 @@ def _only(*names):
         _only("albedo", "normal", "motion"),
         _only("depth", "motion"),
         lambda frame: Frame(color=frame.color, motion=frame.motion, samples=4),
+        lambda frame: Frame(color=frame.color, motion=frame.motion, filter_spread=0.37),
     ],
-    ids=["color", "motion", "no depth", "depth", "samples"],
+    ids=["color", "motion", "no depth", "depth", "samples", "filter"],
 )
 def test_buffers_that_are_left_out_are_left_out(graph, part):
     with stillray.Denoiser(NAME, threads=1, precision="float32") as denoiser:

@@ -81,6 +81,24 @@ def test_a_sequence_with_a_cut_is_that_of_the_stages(denoiser):
             assert decibels(denoiser.denoise(frame), stages.denoise(frame)) > PARITY
 
 
+@pytest.mark.parametrize("spread", [12**-0.5, 0.35, 0.42, 1.0])
+def test_the_pixel_filter_is_told(denoiser, spread):
+    with stillray.Denoiser(NAME, threads=1, precision="float32") as stages:
+        for frame in sequence(2, 33, 47):
+            told = replace(frame, filter_spread=spread)
+            assert decibels(denoiser.denoise(told), stages.denoise(told)) > PARITY
+
+
+def test_a_soft_pixel_filter_changes_the_picture_and_a_box_does_not(denoiser):
+    (frame,) = sequence(1, 33, 47)
+    pictures = {}
+    for spread in (None, 12**-0.5, 0.42):
+        denoiser.reset()
+        pictures[spread] = denoiser.denoise(replace(frame, filter_spread=spread))
+    np.testing.assert_array_equal(pictures[None], pictures[12**-0.5])
+    assert decibels(pictures[None], pictures[0.42]) < PARITY
+
+
 def test_it_says_where_it_runs_and_what_it_says_is_what_runs(denoiser):
     first, second = sequence(2, 17, 20)
     for frame, state in ((first, "begins anew: first frame"), (second, "goes on")):
