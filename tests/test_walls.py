@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = {"stillray": "runtime", "stillray_training": "training", "stillray_export": "export"}
 #: Rooms of `stillray`, from the ground up; the package itself, a list of names, looks at all.
 FLOORS = [
-    {"errors", "version", "timing", "arrays"},
+    {"errors", "version", "timing", "pixel_filter", "arrays"},
     {"frame", "model_spec"},
     {"stages", "models", "io"},
     {"families"},

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillray.batch.file_layout import Layout
+from stillray.batch.file_layout import Layout, Told
 from stillray.cli import main
 from stillray.errors import InputError
 from stillray.io.channels.roles import find_layers, parse_overrides
@@ -124,7 +124,7 @@ def test_a_user_names_the_channel_or_leaves_all_of_it_out(tmp_path):
 
 def test_a_number_of_a_user_goes_before_what_the_file_says(tmp_path):
     assert read_exr(BLENDER, samples=256).samples == 256
-    (view,) = Layout(samples=256).read(BLENDER, {}, None)
+    (view,) = Layout(told=Told(samples=256)).read(BLENDER, {}, None)
     assert view.frame.samples == 256
     output = tmp_path / "c.exr"
     assert main(["denoise", str(BLENDER), "-o", str(output), "-m", "fast", "--samples", "256"]) == 0

@@ -10,6 +10,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="training is of the extra train")
 
 from stillray.arrays.strips import Strips  # noqa: E402
+from stillray.batch.file_layout import Told  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
 from stillray.io.exr.read_write import read_exr, write_channels  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
@@ -17,6 +18,7 @@ from stillray_training.evaluate.cases import find_cases  # noqa: E402
 from stillray_training.examples import find_sequences, load_examples  # noqa: E402
 from stillray_training.own_renders import Source, gather_renders  # noqa: E402
 from stillray_training.patches import PatchSampler  # noqa: E402
+from stillray_training.targets import read_filter  # noqa: E402
 from tests.conftest import clean_color, make_frame  # noqa: E402
 
 HEIGHT, WIDTH = 97, 130
@@ -58,12 +60,14 @@ def source(**options):
 
 
 def test_each_reference_ends_a_sequence_of_the_frames_before_it(shot):
-    gathered = gather_renders(source(samples=4, every=6), shot / "data", "show")
+    told = Told(samples=4, filter_spread=0.5)
+    gathered = gather_renders(source(told=told, every=6), shot / "data", "show")
     assert [(one.folder.name, one.frames) for one in gathered] == [
         ("show-own-0006", 2), ("show-own-0012", 8),
     ]  # fmt: skip
     assert all(one.alike for one in gathered)
     folder = gathered[1].folder
+    assert read_filter(folder) == 0.5
     for index, number in enumerate(range(5, 13)):
         mine, theirs = (
             read_exr(folder / f"frame_{index:04d}.exr"),
@@ -77,8 +81,9 @@ def test_each_reference_ends_a_sequence_of_the_frames_before_it(shot):
 
 
 def test_training_and_evaluation_read_them(shot):
-    gather_renders(source(samples=4), shot / "data", "show")
+    gather_renders(source(told=Told(samples=4)), shot / "data", "show")
     sequences = find_sequences(shot / "data")
+    assert all(read_filter(path) is None for path in sequences)  # nobody said
     assert [path.name for path in sequences] == ["show-own-0006", "show-own-0014"]
     spec = load("wskp-3s")
     recipe = dataclasses.replace(spec.training, patch=64)

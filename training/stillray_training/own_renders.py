@@ -19,13 +19,14 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from stillray.batch.file_layout import Layout
+from stillray.batch.file_layout import Layout, Told
 from stillray.cli import program
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.channels.roles import parse_overrides
 from stillray.io.file_sequence import NumberedFile, expand, map_companions
 from stillray.io.frame_file import read_frame
+from stillray.pixel_filter import parse_filter
 from stillray_training.simulate.sequence import RECORD, atomic_path, write
 
 #: Frames of a sequence, its last one included: as many as networks see accumulated in training.
@@ -49,8 +50,8 @@ class Source:
         Files of features by role, where they stand apart.
     layers
         Role to the layer to take for it.
-    samples
-        Samples a pixel of the noisy frames; None for what the files say.
+    told
+        What is said of the noisy frames, whatever their files say.
     every
         References nearer than so many frames to the last that was taken are left out.
     """
@@ -59,7 +60,7 @@ class Source:
     references: str
     companions: Mapping[str, str] = field(default_factory=dict)
     layers: Mapping[str, str] = field(default_factory=dict)
-    samples: float | None = None
+    told: Told = field(default_factory=Told)
     every: int = FRAMES
 
 
@@ -111,7 +112,7 @@ def gather_renders(source: Source, out: Path, name: str) -> list[Gathered]:
     _check_name(name)
     runs = _runs(source)
     paths = [file.path for file in runs[0][0]]
-    layout = Layout.of(paths, layers=source.layers, samples=source.samples)
+    layout = Layout.of(paths, layers=source.layers, told=source.told)
     gathered = []
     for run, reference in runs:
         companions = {
@@ -216,6 +217,7 @@ def _write(
             "spp": samples,
             "references": 1,
         },
+        "filter_spread": last.filter_spread,
         "files": [file.path.name for file in run[-len(frames) :]],
         "reference": path.name,
     }
@@ -251,6 +253,9 @@ def main(
     name: Annotated[
         str, typer.Option(help="What the renders are called in the model's provenance.")
     ] = "own",
+    pixel_filter: Annotated[
+        str | None, typer.Option(help="Of the noisy frames, as stillray denoise takes it.")
+    ] = None,
     samples: Annotated[
         float | None, typer.Option(help="Samples a pixel of the frames, if the files do not say.")
     ] = None,
@@ -272,7 +277,10 @@ def main(
         references=references,
         companions={role: files for role, files in companions.items() if files is not None},
         layers=parse_overrides(layer or []),
-        samples=samples,
+        told=Told(
+            samples=samples,
+            filter_spread=None if pixel_filter is None else parse_filter(pixel_filter),
+        ),
         every=every,
     )
     for one in gather_renders(source, out, name):

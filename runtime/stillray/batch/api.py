@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from stillray.batch.chunks import ShotSettings, run_chunks, split
-from stillray.batch.file_layout import Layout
+from stillray.batch.file_layout import Layout, Told
 from stillray.batch.resume import Recipe, file_digest
 from stillray.batch.run import FrameReport, finished, remove_leftovers
 from stillray.batch.shot import (
@@ -351,8 +351,7 @@ def plan_run(
         aovs=options.aovs,
         only_color=options.only_color,
         temporal=temporal and "motion" not in options.companions,
-        samples=options.samples,
-        filter_spread=options.filter_spread,
+        told=Told(samples=options.samples, filter_spread=options.filter_spread),
     )
     _check_outputs(jobs, layout, resume=options.resume)
     chosen, family = _opened(model, options, alone=not temporal or len(jobs) == 1)

@@ -40,6 +40,20 @@ class CleanPicture(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Told:
+    """What a user says of every frame; None where its file is to say it.
+
+    Attributes
+    ----------
+    samples, filter_spread
+        As in `stillray.Frame`, numbers.
+    """
+
+    samples: float | None = None
+    filter_spread: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Layout:
     """What is taken from a shot's files, and what is put back.
 
@@ -53,10 +67,8 @@ class Layout:
         Whether nothing but the picture is written.
     detection
         What the motion was proven to mean; None where that is known.
-    samples
-        Samples a pixel, whatever the files say; None for what they say.
-    filter_spread
-        Of the renderer's pixel filter, pixels, whatever the files say; None for what they say.
+    told
+        What a user says of the frames, whatever the files say.
     views
         Names of the views, all of which are denoised; empty for one picture, or where ``layers``
         choose a view.
@@ -66,8 +78,7 @@ class Layout:
     aovs: tuple[str, ...] | None = None
     only_color: bool = False
     detection: Detection | None = None
-    samples: float | None = None
-    filter_spread: float | None = None
+    told: Told = Told()
     views: tuple[str, ...] = ()
 
     @classmethod
@@ -79,8 +90,7 @@ class Layout:
         aovs: tuple[str, ...] | None = None,
         only_color: bool = False,
         temporal: bool = True,
-        samples: float | None = None,
-        filter_spread: float | None = None,
+        told: Told = Told(),
     ) -> Layout:
         """The layout of consecutive frames; without ``temporal`` no motion is looked at.
 
@@ -104,8 +114,7 @@ class Layout:
             aovs=aovs,
             only_color=only_color,
             detection=detect_in_sequence(paths, layers=looked_at) if temporal else None,
-            samples=samples,
-            filter_spread=filter_spread,
+            told=told,
             views=views,
         )
 
@@ -117,14 +126,15 @@ class Layout:
     def options(self) -> dict[str, str | float | bool | None]:
         """What of it changes the files that are written, by name."""
         convention = None if self.detection is None else self.detection.convention
+        spread = self.told.filter_spread
         return {
             "layers": ",".join(f"{role}={name}" for role, name in sorted(self.layers.items())),
             "aovs": None if self.aovs is None else ",".join(self.aovs),
             "only_color": self.only_color,
             "motion": None if self.detection is None else str(convention),
-            "samples": self.samples,
+            "samples": self.told.samples,
             # left out where nobody says: then records of older runs, which had no such word, hold
-            **({} if self.filter_spread is None else {"filter_spread": self.filter_spread}),
+            **({} if spread is None else {"filter_spread": spread}),
             **({"views": ",".join(self.views)} if self.views else {}),
         }
 
@@ -154,10 +164,10 @@ class Layout:
                 layers=layers,
                 convention=convention,
                 before=before,
-                samples=self.samples,
+                samples=self.told.samples,
             )
-            if self.filter_spread is not None:
-                frame = replace(frame, filter_spread=self.filter_spread)
+            if self.told.filter_spread is not None:
+                frame = replace(frame, filter_spread=self.told.filter_spread)
             lights = {}
             if self.aovs is not None and not is_float_map(path):
                 lights = read_lights(path, self.aovs, layers=layers)
