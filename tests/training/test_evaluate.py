@@ -331,3 +331,23 @@ def test_the_report_says_how_far_models_are_from_their_peers(folder, tmp_path):
     assert smape.strip("*") == f"x {ratio:.3g}"
     assert smape.startswith("**") == (ratio > 1)
     assert '| kpyr-5s ("fast") against SVGF |' in page.read_text()
+
+
+@pytest.mark.parametrize(
+    ("option", "expected"), [("box", [0.5, 12**-0.5]), (None, [0.5, None]), ("none", [None, None])]
+)
+def test_models_are_told_the_filter_that_files_have_then_the_one_that_is_named(
+    tmp_path, option, expected
+):
+    write_sequence(tmp_path / "a", 1, [0])
+    write_sequence(tmp_path / "b", 1, [0])
+    path = tmp_path / "a" / "frame_0000.exr"
+    frame = read_exr(path)
+    write_channels(
+        path,
+        {c: frame.color[..., i] for i, c in enumerate("RGB")},
+        attributes={"stillray:pixelFilter": "gaussian:2"},
+    )
+    cases = evaluate.find_all([str(tmp_path)], pixel_filter=option)
+    told = [case.read()[0][-1].filter_spread for case in cases]
+    assert told == [each and pytest.approx(each) for each in expected]

@@ -147,10 +147,14 @@ def main(
     ],
     out: Annotated[Path, typer.Option(help="Folder of the pictures.")] = Path("docs/contact"),
     model: Annotated[str, typer.Option(help="Model or .onnx.")] = "high",
+    pixel_filter: Annotated[
+        str | None, typer.Option(help="Of frames whose files do not say, as stillray-evaluate's.")
+    ] = None,
     crops: Annotated[Path, typer.Option(help="TOML that says where to look.")] = CROPS,
 ) -> None:
     """Write a contact sheet for every frame of the crops file that the folders have."""
-    cases = {(case.title, case.name): case for case in find_all(folders)}
+    found = find_all(folders, pixel_filter=pixel_filter)
+    cases = {(case.title, case.name): case for case in found}
     side, enlargement, sheets = read_sheets(crops)
     out.mkdir(parents=True, exist_ok=True)
     for sheet in sheets:

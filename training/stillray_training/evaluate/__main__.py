@@ -33,6 +33,7 @@ from stillray_training.evaluate.report import sections
 from stillray_training.evaluate.scores import Results, evaluate_cases, taken_from
 from stillray_training.peers import PEERS
 
+UNTOLD = "none"
 _PEER_NAMES = [peer.name for peer in PEERS if not peer.halves]
 _METRIC_NAMES = [metric.name for metric in METRICS]
 
@@ -64,7 +65,10 @@ def main(
     ] = None,
     pixel_filter: Annotated[
         str | None,
-        typer.Option(help="Of frames whose files do not say: box, ..., as stillray denoise's."),
+        typer.Option(
+            help="Of frames whose files do not say: box, ..., as stillray denoise's; or none: "
+            "models are not told what files say, either."
+        ),
     ] = None,
     metrics: Annotated[
         str | None, typer.Option(help=f"Out of {','.join(_METRIC_NAMES)}; default: all but rmse.")
@@ -87,10 +91,8 @@ def main(
         folders,
         _listed(only, "only", KINDS) if only else KINDS,
         _counts(stills) if stills else None,
+        pixel_filter,
     )
-    if pixel_filter is not None:
-        spread = parse_filter(pixel_filter)
-        cases = [replace(case, filter_spread=spread) for case in cases]
     results = evaluate_cases(
         cases, models, peers=chosen, names=names, pictures=pictures, progress=_shown
     )
@@ -121,15 +123,22 @@ def find_all(
     folders: Sequence[str],
     kinds: Collection[str] = KINDS,
     counts: Collection[int] | None = None,
+    pixel_filter: str | None = None,
 ) -> list[Case]:
-    """Cases of several folders, each ``FOLDER`` or ``LABEL=FOLDER``, see `find_cases`."""
+    """Cases of several folders, each ``FOLDER`` or ``LABEL=FOLDER``, see `find_cases`.
+
+    ``pixel_filter`` is that of frames whose files do not say, see `parse_filter`; ``none`` keeps
+    from models what files say, too.
+    """
+    tells = pixel_filter != UNTOLD
+    spread = parse_filter(pixel_filter) if pixel_filter and tells else None
     cases: list[Case] = []
     for text in folders:
         label, _, folder = text.rpartition("=")
         if not Path(folder).is_dir():
             raise InputError(f"folder must exist, got {folder}")
         cases += find_cases(Path(folder), label=label, kinds=kinds, counts=counts)
-    return cases
+    return [replace(case, filter_spread=spread, tells_filter=tells) for case in cases]
 
 
 def _listed(text: str, option: str, allowed: Collection[str]) -> list[str]:

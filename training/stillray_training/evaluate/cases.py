@@ -47,6 +47,8 @@ class Case:
     filter_spread
         Standard deviation of the pixel filter of frames whose files do not say, in pixels; None
         where nobody knows.
+    tells_filter
+        Whether models are told of it at all.
     """
 
     kind: str
@@ -55,6 +57,7 @@ class Case:
     frames: tuple[Path, ...]
     references: tuple[Path, ...]
     filter_spread: float | None = None
+    tells_filter: bool = True
 
     def read(self) -> tuple[list[Frame], list[np.ndarray]]:
         """The frames, and the radiance ``(h, w, 3)`` of the references."""
@@ -66,8 +69,8 @@ class Case:
 
     def _frame(self, path: Path) -> Frame:
         frame = read_exr(path)
-        told = self.filter_spread if frame.filter_spread is None else frame.filter_spread
-        return dataclasses.replace(frame, filter_spread=told)
+        known = self.filter_spread if frame.filter_spread is None else frame.filter_spread
+        return dataclasses.replace(frame, filter_spread=known if self.tells_filter else None)
 
 
 def find_cases(

@@ -24,7 +24,8 @@ _TO_BEAT = (
 )  # fmt: skip
 _HEAD = """# Quality on validation
 
-Written by `stillray-evaluate VALIDATION Blender=BLENDER --report docs/results.md`;
+Written by
+`stillray-evaluate VALIDATION Blender=BLENDER --pixel-filter box --report docs/results.md`;
 [validation.md](validation.md) says what the folders hold and defines the metrics. No model was
 trained on these scenes; the weights of accumulation, the albedo floor of the specs, what is looked
 at in mirrors and how the past is interpolated were chosen on them, and the training of the kpyr
@@ -33,7 +34,8 @@ models was watched on them, so read these figures as validation, not as a test. 
 parameters; both end with temporal antialiasing (TAA), so SVGF is there without it as well. OIDN is
 Open Image Denoise with albedo and normal, fed the raw frame, or the frame as accumulated for our
 kernels; fed the references of a sequence it shows what their own noise leaves of each figure, below
-which nothing can come. Tables are means over the scenes; of the bias the worst scene. Under each
+which nothing can come. Our models are told the renderer's pixel filter, of which peers take none.
+Tables are means over the scenes; of the bias the worst scene. Under each
 table the distances to the peers that models are to beat: differences, and ratios (x) where less is
 better; bold is worse. Times are in [performance.md](performance.md).
 
