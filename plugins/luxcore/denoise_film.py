@@ -38,7 +38,9 @@ def wanted(folder: Path) -> str:
     )
 
 
-def frame_of(film: Any, samples: float | None = None) -> stillray.Frame:
+def frame_of(
+    film: Any, samples: float | None = None, filter_spread: float | None = None
+) -> stillray.Frame:
     """The film as a frame.
 
     Parameters
@@ -47,6 +49,8 @@ def frame_of(film: Any, samples: float | None = None) -> stillray.Frame:
         Of a session that was configured with `wanted`.
     samples
         Samples a pixel that were rendered, if they are known.
+    filter_spread
+        Standard deviation of the film's pixel filter, in pixels, if it is known.
     """
     import pyluxcore
 
@@ -56,7 +60,7 @@ def frame_of(film: Any, samples: float | None = None) -> stillray.Frame:
         film.GetOutputFloat(getattr(pyluxcore.FilmOutputType, name), values, 0)
         buffers[buffer] = values[::-1]  # a film's rows go from the bottom to the top
     depth = buffers.pop("depth")[..., 0]
-    return stillray.Frame(**buffers, depth=depth, samples=samples)
+    return stillray.Frame(**buffers, depth=depth, samples=samples, filter_spread=filter_spread)
 
 
 def render(properties: Any, scene: Any = None) -> Any:

@@ -17,6 +17,7 @@ from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.models.registry import ModelInfo
 from stillray.pipeline.denoiser import Denoiser as _Stream
+from stillray.pixel_filter import check_spread
 
 #: Flow of points that were behind the camera: pixels, beyond every picture.
 FAR = 1e6
@@ -37,6 +38,9 @@ class Denoiser:
         here; see ``previous_denoised`` for a new sequence.
     denoise_alpha
         Whether a fourth channel is filtered as the colors are, or kept as it is.
+    filter_spread
+        Standard deviation of the film's reconstruction filter, in pixels: Mitsuba's Gaussian has
+        0.5 unless told otherwise, its box 0.29. None: not known.
     model, threads
         As `stillray.Denoiser` takes them.
 
@@ -64,6 +68,7 @@ class Denoiser:
         temporal: bool = False,
         denoise_alpha: bool = False,
         *,
+        filter_spread: float | None = None,
         model: str | os.PathLike[str] | ModelInfo = "high",
         threads: int | None = None,
     ) -> None:
@@ -71,6 +76,7 @@ class Denoiser:
         if width < 1 or height < 1:
             raise InputError(f"input_size must be a width and a height, got {width}, {height}")
         self._shape = (height, width)
+        self._filter_spread = None if filter_spread is None else check_spread(filter_spread)
         self._albedo, self._normals = albedo, normals
         self._temporal, self._denoise_alpha = temporal, denoise_alpha
         self._motion = np.empty((height, width, 2 if temporal else 0), np.float32)
@@ -171,7 +177,8 @@ class Denoiser:
         if before is not None and _equal(before, picture):
             self.stream.reset()
         denoise_alpha = self._denoise_alpha and picture.shape[2] == 4
-        return self.stream.denoise(Frame(color=picture, **buffers), denoise_alpha=denoise_alpha)
+        frame = Frame(color=picture, filter_spread=self._filter_spread, **buffers)
+        return self.stream.denoise(frame, denoise_alpha=denoise_alpha)
 
     def _motion_of(self, flow: np.ndarray) -> np.ndarray:
         """The negative of it, in memory that is used frame after frame."""

@@ -45,6 +45,21 @@ def test_arguments_are_theirs():
     assert list(inspect.signature(Denoiser.__call__).parameters)[: len(wanted)] == wanted
 
 
+def test_the_film_s_filter_is_told(frames):
+    color, albedo = frames[0].color.copy(), frames[0].albedo
+    color[8:12, 10:14] = 50
+    clean = {}
+    for spread in (None, 0.5):
+        with Denoiser((WIDTH, HEIGHT), albedo=True, filter_spread=spread, **FAST) as denoiser:
+            clean[spread] = np.array(denoiser(tensor(color), tensor(albedo)))
+        frame = stillray.Frame(color=color, albedo=albedo, filter_spread=spread)
+        with stillray.Denoiser("fast", threads=1, temporal=False) as bare:
+            np.testing.assert_array_equal(clean[spread], bare.denoise(frame))
+    assert not np.array_equal(clean[None], clean[0.5])
+    with pytest.raises(InputError, match="filter_spread must be 0 to 4 pixels, got -1"):
+        Denoiser((WIDTH, HEIGHT), filter_spread=-1)
+
+
 def test_a_sequence_of_tensors_is_the_bare_stream(frames, stream):
     size = mi.ScalarVector2u(WIDTH, HEIGHT)
     with Denoiser(size, albedo=True, normals=True, temporal=True, **FAST) as denoiser:
