@@ -15,6 +15,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -42,6 +43,7 @@ from stillray.pipeline.denoiser import Denoiser
 from stillray.pipeline.opening import engine_of_model
 from stillray_training.blocks import frames_of, mean_frame, read_blocks
 from stillray_training.run import sequences_in
+from stillray_training.targets import read_filter
 
 #: Operators that take and give integers; what else there is stays float32.
 OPERATORS = ("Add", "Clip", "Concat", "Conv", "MaxPool", "Mul", "Relu", "Resize", "Slice")
@@ -168,12 +170,13 @@ def features_of(model: ModelInfo, sequence: Path) -> Iterator[np.ndarray]:
     frames = frames_of(sequence)
     if not frames:
         raise InputError(f"{sequence}: must hold frames, frame_0000.exr and on")
+    spread = read_filter(sequence)
     engine = _Listening(engine_of_model(model, 1, None))
     with closing(engine), Denoiser(model, threads=1, engine=engine) as denoiser:
         for index, frame in enumerate([*frames, *_still(sequence, frames[-1])]):
             if index == len(frames):
                 denoiser.reset()
-            denoiser.denoise(frame)
+            denoiser.denoise(replace(frame, filter_spread=spread))
             if index in (0, 1) or index >= len(frames) - 1:
                 assert engine.given is not None
                 yield engine.given

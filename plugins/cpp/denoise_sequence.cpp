@@ -11,6 +11,7 @@
 #include <fstream>
 #include <iostream>
 #include <stdexcept>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -42,13 +43,20 @@ class Denoiser {
   explicit Denoiser(const std::string& graph)
       : session_(environment_, std::basic_string<ORTCHAR_T>(graph.begin(), graph.end()).c_str(),
                  options()) {
+    Ort::AllocatorWithDefaultOptions allocator;
+    for (size_t index = 0; index < session_.GetInputCount(); ++index) {
+      inputs_.insert(session_.GetInputNameAllocated(index, allocator).get());
+    }
+    for (const State& state : kStates) {
+      if (inputs_.count(state.past)) states_.push_back(state);  // some keep no albedo
+    }
     reset();
   }
 
   // Forget the past: the next frame begins anew, as after a cut or a change of size.
   void reset() {
     state_.clear();
-    for (const State& state : kStates) state_.push_back(zeros(state.beginning));
+    for (const State& state : states_) state_.push_back(zeros(state.beginning));
   }
 
   // The picture, 3 values a pixel; it lives in the tensor. `values` must stay until the call returns.
@@ -69,17 +77,18 @@ class Denoiser {
     float unknown = -1;  // what a buffer holds that is not given is its neutral value, 1 by 1 pixel
     const int64_t one[] = {1, 1};
     for (const char* name : {"samples", "filter_spread"}) {
+      if (!inputs_.count(name)) continue;  // graphs that were made before it was known
       names.push_back(name);
       inputs.push_back(Ort::Value::CreateTensor<float>(memory_, &unknown, 1, one, 2));
     }
-    for (size_t index = 0; index < kStates.size(); ++index) {
-      names.push_back(kStates[index].past);
+    for (size_t index = 0; index < states_.size(); ++index) {
+      names.push_back(states_[index].past);
       inputs.push_back(std::move(state_[index]));
-      results.push_back(kStates[index].next);
+      results.push_back(states_[index].next);
     }
     std::vector<Ort::Value> found = session_.Run(Ort::RunOptions{nullptr}, names.data(), inputs.data(),
                                                  inputs.size(), results.data(), results.size());
-    for (size_t index = 0; index < kStates.size(); ++index) state_[index] = std::move(found[index + 1]);
+    for (size_t index = 0; index < states_.size(); ++index) state_[index] = std::move(found[index + 1]);
     return std::move(found[0]);
   }
 
@@ -102,6 +111,8 @@ class Denoiser {
   Ort::Env environment_{ORT_LOGGING_LEVEL_ERROR, "stillray"};
   Ort::Session session_;
   Ort::MemoryInfo memory_ = Ort::MemoryInfo::CreateCpu(OrtArenaAllocator, OrtMemTypeDefault);
+  std::set<std::string> inputs_;
+  std::vector<State> states_;
   std::vector<Ort::Value> state_;
 };
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from numbers import Real
+
+import numpy as np
 
 from stillray.errors import InputError
 
@@ -72,7 +73,8 @@ def check_spread(spread: float) -> float:
     InputError
         It is none of a pixel filter.
     """
-    if not isinstance(spread, Real) or not 0 <= spread <= MOST_SPREAD:  # NaN is not
+    array = np.asarray(spread)
+    if array.ndim or array.dtype.kind not in "fiu" or not 0 <= array <= MOST_SPREAD:  # NaN is not
         raise InputError(f"filter_spread must be 0 to {MOST_SPREAD:g} pixels, got {spread}")
     return float(spread)
 
@@ -85,15 +87,14 @@ def parse_filter(text: str) -> float:
     InputError
         It is none of them.
     """
-    kind, _, width = text.strip().lower().partition(":")
+    kind, colon, width = text.strip().lower().partition(":")
     try:
-        if kind not in _SPREADS:
-            return check_spread(float(kind))
-        return filter_spread(kind, float(width) if width else None)
-    except InputError:
-        raise
-    except ValueError:
+        if kind in _SPREADS:
+            return filter_spread(kind, float(width) if colon else None)
+        return check_spread(float(text))
+    except ValueError:  # what is out of range, too
         raise InputError(
             f"pixel filter must be {', '.join(_SPREADS)}, with a width in pixels as in "
-            f"gaussian:2 or without, or its standard deviation in pixels, got {text}"
+            f"gaussian:2 or without, or its standard deviation, 0 to {MOST_SPREAD:g} pixels, "
+            f"got {text}"
         ) from None

@@ -13,7 +13,7 @@ from stillray.io.exr.read_write import read_exr, write_channels
 from stillray.io.pfm import read_pfm, write_pfm
 from tests.conftest import make_frame
 
-FAST = ("-m", "fast", "--threads", "1", "--quiet")
+FAST = ("-m", "kpyr-5s", "--threads", "1", "--quiet")
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def frame(tmp_path, monkeypatch):
 
 
 def denoised(*frames):
-    with stillray.Denoiser("fast", threads=1) as denoiser:
+    with stillray.Denoiser("kpyr-5s", threads=1) as denoiser:
         return [denoiser.denoise(frame) for frame in frames][-1]
 
 

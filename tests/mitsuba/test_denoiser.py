@@ -17,12 +17,12 @@ from tests.conftest import make_frame
 
 mi.set_variant("scalar_rgb")
 HEIGHT, WIDTH = 24, 32
-FAST = {"model": "fast", "threads": 1}
+FAST = {"model": "kpyr-5s", "threads": 1}
 
 
 @pytest.fixture(scope="module")
 def stream():
-    with stillray.Denoiser("fast", threads=1) as made:
+    with stillray.Denoiser("kpyr-5s", threads=1) as made:
         yield made
 
 
@@ -53,7 +53,7 @@ def test_the_film_s_filter_is_told(frames):
         with Denoiser((WIDTH, HEIGHT), albedo=True, filter_spread=spread, **FAST) as denoiser:
             clean[spread] = np.array(denoiser(tensor(color), tensor(albedo)))
         frame = stillray.Frame(color=color, albedo=albedo, filter_spread=spread)
-        with stillray.Denoiser("fast", threads=1, temporal=False) as bare:
+        with stillray.Denoiser("kpyr-5s", threads=1, temporal=False) as bare:
             np.testing.assert_array_equal(clean[spread], bare.denoise(frame))
     assert not np.array_equal(clean[None], clean[0.5])
     with pytest.raises(InputError, match="filter_spread must be 0 to 4 pixels, got -1"):

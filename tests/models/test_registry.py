@@ -59,13 +59,15 @@ def test_an_unknown_name_lists_models_and_qualities():
         find_model("best")
 
 
-def test_high_is_another_model_where_frames_have_no_past():
-    with Denoiser("high", temporal=False) as alone, Denoiser("high") as stream:
-        assert (alone.model.name, stream.model.name) == ("kpyr-5-still", "kpyr-5")
-    # who names a model gets it, and the other qualities have no such model
-    for name in ("kpyr-5", "balanced"):
-        with Denoiser(name, temporal=False) as alone:
-            assert alone.model.name == find_model(name).name
+@pytest.mark.parametrize(
+    ("quality", "name"), [("high", "kpyr-5"), ("balanced", "kpyr-5s"), ("fast", "kpyr-5s")]
+)
+def test_a_quality_is_another_model_where_frames_have_no_past(quality, name):
+    with Denoiser(quality, temporal=False) as alone, Denoiser(quality) as stream:
+        assert (alone.model.name, stream.model.name) == (f"{name}-still", name)
+    # who names a model gets it
+    with Denoiser(name, temporal=False) as alone:
+        assert alone.model.name == name
 
 
 def test_a_model_of_single_frames_takes_no_past():

@@ -21,6 +21,7 @@ from stillray.pixel_filter import filter_spread  # noqa: E402
 from stillray_training.blender.record import RECORD, TAKEN  # noqa: E402
 from stillray_training.cycles_sequences import main, take  # noqa: E402
 from stillray_training.examples import QUIET, STILL, find_sequences, load_examples  # noqa: E402
+from stillray_training.film import film_variance  # noqa: E402
 from stillray_training.provenance import assets_of  # noqa: E402
 from stillray_training.targets import read_filter  # noqa: E402
 from tests.conftest import clean_color, make_frame  # noqa: E402
@@ -70,7 +71,8 @@ def test_a_scene_becomes_a_sequence_that_training_reads(rendered, tmp_path):
     rendered_with = filter_spread("blackman-harris", 2.0)
     assert min(e.filter_spread for e in examples) == pytest.approx(rendered_with)
     wider = [e.filter_spread for e in examples if e.filter_spread > rendered_with * 1.001]
-    assert all(0.3**2 < w**2 - rendered_with**2 < 0.6**2 for w in wider)
+    added = [film_variance(deviation) for deviation in (0.3, 0.6)]
+    assert all(added[0] < w**2 - rendered_with**2 < added[1] for w in wider)
     alone = {e.spp for e in examples if e.kind == STILL and e.frames == 1}
     assert alone <= {1, 2, 3, 4, 5, 6, 7}
     assert min(e.spp for e in examples if e.kind == QUIET) > 7

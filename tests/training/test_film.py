@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from stillray.frame import Frame
-from stillray_training.film import film_weights, frame_through_film, through_film
+from stillray_training.film import film_variance, film_weights, frame_through_film, through_film
 
 
 @pytest.mark.parametrize("deviation", [0.3, 0.5, 0.6])
@@ -47,3 +47,12 @@ def test_light_and_surfaces_go_through_the_filter_and_places_do_not():
         assert np.isfinite(image).all()
     assert wide.depth is frame.depth
     assert wide.motion is frame.motion
+
+
+@pytest.mark.parametrize("deviation", [0.3, 0.5, 0.6])
+def test_a_film_adds_its_variance_to_that_of_the_render(deviation):
+    image = np.zeros((11, 11, 1), np.float32)
+    image[5, 5] = 1
+    row = through_film(image, deviation).reshape(11, 11).sum(0)
+    places = np.arange(11) - 5
+    assert film_variance(deviation) == pytest.approx((row * places**2).sum(), rel=1e-5)

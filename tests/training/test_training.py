@@ -40,7 +40,7 @@ from stillray_training.networks.repvgg import without_branches  # noqa: E402
 from stillray_training.patches import PatchSampler  # noqa: E402
 from stillray_training.simulate.sequence import write  # noqa: E402
 from stillray_training.start import STARTED_FROM, start_from  # noqa: E402
-from stillray_training.targets import make_target, read_target  # noqa: E402
+from stillray_training.targets import make_target, read_filter, read_target  # noqa: E402
 from tests.conftest import clean_color, make_frame  # noqa: E402
 
 
@@ -140,6 +140,9 @@ def test_a_network_that_asks_is_told_the_filter_in_three_of_four_patches(blocks,
         small.network, features=(*small.network.features[:-1], "pixel_filter")
     )
     spec = dataclasses.replace(small, network=network)
+    assert read_filter(blocks) is None
+    record = json.loads((blocks / "sequence.json").read_text())
+    (blocks / "sequence.json").write_text(json.dumps(record | {"integrator": {}}))
     examples = load_examples(blocks, spec, Strips(1))
     box = filter_feature(filter_spread("box"))  # what the simulator renders with
     assert {filter_feature(e.filter_spread) for e in examples if e.kind != STILL} == {box}

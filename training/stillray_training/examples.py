@@ -29,7 +29,7 @@ from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
 from stillray.stages.state import History, Prepared
 from stillray_training.blocks import alike_frames, frames_of, mean_frame, read_blocks
-from stillray_training.film import DEVIATIONS, frame_through_film, through_film
+from stillray_training.film import DEVIATIONS, film_variance, frame_through_film, through_film
 from stillray_training.quiet import fireflies, quiet_frame, uneven_frame
 from stillray_training.shade import moving_shade
 from stillray_training.simulate.sequence import is_complete
@@ -108,7 +108,9 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Examp
             example,
             sequence=sequence.name,
             # variances of filters one after the other add up
-            filter_spread=rendered and math.hypot(rendered, example.filter_spread or 0),
+            filter_spread=None
+            if rendered is None or example.filter_spread is None
+            else math.hypot(rendered, example.filter_spread),
         )
         for example in examples
     ]
@@ -139,12 +141,12 @@ def _all_examples(
         if index >= stills:
             assert whole.albedo is not None
             frame = uneven_frame(frame, reference, whole.albedo, rng)
-        wanted, deviation = reference, 0.0
+        wanted, added = reference, 0.0
         if index < stills and rng.random() < _WIDE:
             deviation = rng.uniform(*DEVIATIONS)
             frame = frame_through_film(frame, deviation)
-            wanted = through_film(reference, deviation)
-        example = replace(_example([frame], wanted, spec, strips), filter_spread=deviation)
+            wanted, added = through_film(reference, deviation), math.sqrt(film_variance(deviation))
+        example = replace(_example([frame], wanted, spec, strips), filter_spread=added)
         examples.append(replace(example, spp=samples, kind=STILL))
     for frame, samples in _quiets(blocks, reference, rng):
         examples.append(_quiet_example(frame, samples, reference, spec, strips, rng))
@@ -333,7 +335,8 @@ def previous_outputs(sequence: Path, denoiser: Denoiser, strips: Strips) -> dict
         By how many frames are accumulated: radiance of the previous output at the pixels of the
         last frame, and how much of it is valid.
     """
-    frames = frames_of(sequence)
+    spread = read_filter(sequence)
+    frames = [replace(frame, filter_spread=spread) for frame in frames_of(sequence)]
     remembered = {}
     family = kernels_of(denoiser.model.spec)
     for count in STARTS[1:]:  # one frame has no past

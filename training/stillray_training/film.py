@@ -33,6 +33,12 @@ def film_weights(deviation: float) -> np.ndarray:
     return (weights / weights.sum()).astype(np.float32)
 
 
+def film_variance(deviation: float) -> float:
+    """Variance that such a filter adds to one of the render's own, square pixels."""
+    places = np.arange(-_REACH, _REACH + 1)
+    return float(film_weights(deviation) @ (places * places).astype(np.float32))
+
+
 def through_film(image: np.ndarray, deviation: float) -> np.ndarray:
     """An image ``(h, w, channels)`` of a box filter as one of a Gaussian, float32.
 

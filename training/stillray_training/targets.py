@@ -47,10 +47,12 @@ def read_target(sequence: Path) -> tuple[np.ndarray, float]:
 def read_filter(sequence: Path) -> float | None:
     """Standard deviation of the pixel filter that a sequence was rendered with, in pixels.
 
-    None where its record does not say. What stillray's simulator renders has a box.
+    None where its record does not say. What stillray's simulator renders has a box, unless its
+    samples fill a part of their pixels alone.
     """
     record = json.loads((sequence / RECORD).read_text())
-    told = record.get("filter_spread", None if "renderer" in record else filter_spread("box"))
+    simulated = "integrator" in record and record["options"].get("spread", 1.0) == 1
+    told = record.get("filter_spread", filter_spread("box") if simulated else None)
     return None if told is None else float(told)
 
 

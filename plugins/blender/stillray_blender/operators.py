@@ -94,6 +94,7 @@ class StillrayDenoiseAnimation(bpy.types.Operator):
             ensemble=settings.ensemble,
             temporal=settings.temporal,
             motion=motion,
+            filter_spread=passes.filter_spread_of(scene),
         )
         self._job.start()
         return True

@@ -68,15 +68,25 @@ class SequenceJob:
         As the settings have them.
     motion
         Whether the files' motion vectors can be used.
+    filter_spread
+        Of the scene's pixel filter, see `stillray.Frame`.
     """
 
     def __init__(
-        self, files: Files, *, quality: str, temporal: bool, ensemble: int = 1, motion: bool = True
+        self,
+        files: Files,
+        *,
+        quality: str,
+        temporal: bool,
+        ensemble: int = 1,
+        motion: bool = True,
+        filter_spread: float | None = None,
     ) -> None:
         self.done, self.count = 0, len(files.sources)
         self.error, self.cancelled = "", False
         self._files, self._quality = files, quality
         self._temporal, self._ensemble, self._motion = temporal, ensemble, motion
+        self._filter_spread = filter_spread
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="stillray-sequence")
 
@@ -104,6 +114,7 @@ class SequenceJob:
             options = ShotOptions(
                 temporal=self._temporal,
                 ensemble=self._ensemble,
+                filter_spread=self._filter_spread,
                 layers={} if self._motion else {"motion": "none"},
             )
             ran = denoise_shot(

@@ -126,15 +126,13 @@ class Layout:
     def options(self) -> dict[str, str | float | bool | None]:
         """What of it changes the files that are written, by name."""
         convention = None if self.detection is None else self.detection.convention
-        spread = self.told.filter_spread
         return {
             "layers": ",".join(f"{role}={name}" for role, name in sorted(self.layers.items())),
             "aovs": None if self.aovs is None else ",".join(self.aovs),
             "only_color": self.only_color,
             "motion": None if self.detection is None else str(convention),
             "samples": self.told.samples,
-            # left out where nobody says: then records of older runs, which had no such word, hold
-            **({} if spread is None else {"filter_spread": spread}),
+            "filter_spread": self.told.filter_spread,
             **({"views": ",".join(self.views)} if self.views else {}),
         }
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from stillray.frame import Frame
     from stillray.io.channels.motion_detection import Detection
     from stillray.io.channels.roles import LayerMatch
+    from stillray.io.exr.pixel_filter import FilterSource
     from stillray.io.exr.read_write import ExrFile
     from stillray.io.exr.samples import SampleSource
     from stillray.model_spec import ModelSpec
@@ -188,7 +189,8 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
         ],
         "samples": _samples(frame, find_samples(opened, matches, chosen))
         | {"told": spec.knows_samples},
-        "pixel_filter": asdict(find_filter(opened)) | {"told": spec.knows_filter},
+        "pixel_filter": _filter(find_filter(opened, matches[0].channels[0]))
+        | {"told": spec.knows_filter},
         "color_pixels": _count_pixels(frame.color),
         "warnings": _warnings(frame.normal),
         **stages,
@@ -234,7 +236,7 @@ def _of_float_map(path: Path, model: str) -> dict[str, Any]:
             }
         ],
         "samples": _samples(frame, SampleSource()) | {"told": spec.knows_samples},
-        "pixel_filter": asdict(FilterSource()) | {"told": spec.knows_filter},
+        "pixel_filter": _filter(FilterSource()) | {"told": spec.knows_filter},
         "color_pixels": _count_pixels(frame.color),
         "warnings": [],
         **stages,
@@ -286,14 +288,18 @@ def _say_samples(samples: dict[str, Any]) -> str:
     return f"samples: {count}, from {samples['from']}{note}{network}"
 
 
+def _filter(source: FilterSource) -> dict[str, Any]:
+    return {"spread": source.spread, "from": source.name or None, "note": source.note}
+
+
 def _say_filter(found: dict[str, Any]) -> str:
     note = f" ({found['note']})" if found["note"] else ""
     if found["spread"] is None:
         hint = "; --pixel-filter says it" if found["told"] else ""
-        return f"pixel filter: not known{hint}"
+        return f"pixel filter: not known{note}{hint}"
     network = "" if found["told"] else "; the network is not told, it did not learn with it"
     return (
-        f"pixel filter: {found['spread']:.2f} pixels of standard deviation, from {found['name']}"
+        f"pixel filter: {found['spread']:.2f} pixels of standard deviation, from {found['from']}"
         f"{note}{network}"
     )
 

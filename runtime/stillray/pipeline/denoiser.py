@@ -56,7 +56,7 @@ class Denoiser:
         They run the network, and of a frame graph all.
     temporal
         Whether frames are accumulated; without, each is denoised alone: ``"high"`` is then a model
-        that has learned nothing else, kpyr-5-still.
+        that has learned nothing else, kpyr-5-still or kpyr-5s-still.
     max_memory
         Bytes that the process should stay below: larger frames are denoised in tiles, which
         takes longer and differs by rounding. None for whole frames.

@@ -18,11 +18,11 @@ from stillray.compare.metrics import METRICS
 from stillray.errors import InputError
 from stillray.io.atomic import atomic_path
 from stillray.models.registry import (
-    DEFAULT_MODEL,
     ModelInfo,
     find_model,
     for_single_frames,
     list_models,
+    qualities,
     with_overrides,
 )
 from stillray.pixel_filter import parse_filter
@@ -78,7 +78,8 @@ def main(
     pictures: Annotated[Path | None, typer.Option(help="Folder for tone-mapped PNGs.")] = None,
 ) -> None:
     """Print every set's metrics, and where a model's picture is worse than its input."""
-    given = model or [*(info.name for info in list_models()), for_single_frames(DEFAULT_MODEL)]
+    alone = {name for quality in qualities() if (name := for_single_frames(quality)) != quality}
+    given = model or [*(info.name for info in list_models()), *sorted(alone)]
     models = with_ensembles(
         {text.split("=")[0]: find_model(text.split("=")[-1]) for text in given}, ensemble
     )

@@ -18,6 +18,8 @@ import numpy as np
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr
+from stillray_training.simulate.sequence import RECORD
+from stillray_training.targets import read_filter
 
 #: The sets of a folder, as ``--only`` takes them.
 KINDS = ("sequences", "frames", "stills", "fed")
@@ -69,7 +71,10 @@ class Case:
 
     def _frame(self, path: Path) -> Frame:
         frame = read_exr(path)
-        known = self.filter_spread if frame.filter_spread is None else frame.filter_spread
+        known = frame.filter_spread
+        if known is None and (path.parent / RECORD).is_file():
+            known = read_filter(path.parent)
+        known = self.filter_spread if known is None else known
         return dataclasses.replace(frame, filter_spread=known if self.tells_filter else None)
 
 

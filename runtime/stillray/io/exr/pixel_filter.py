@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stillray.errors import InputError
+from stillray.io.exr.container import Attribute
 from stillray.io.exr.file import ExrFile
-from stillray.io.exr.samples import CYCLES_SAMPLES
+from stillray.io.exr.samples import CYCLES_SAMPLES, attributes_of, number_of
 from stillray.pixel_filter import filter_spread, parse_filter
 
 #: The attribute by which any program can tell: text as `parse_filter` takes it.
@@ -21,7 +22,7 @@ class FilterSource:
     Attributes
     ----------
     name
-        The attribute that says it; empty if none does.
+        The attribute that says it; empty if none does, or none that can be used.
     spread
         Standard deviation in pixels; None where nothing is said.
     note
@@ -33,24 +34,32 @@ class FilterSource:
     note: str = ""
 
 
-def find_filter(file: ExrFile) -> FilterSource:
-    """Which pixel filter a file says that it has.
+def find_filter(file: ExrFile, color: str = "") -> FilterSource:
+    """Which pixel filter a file says that its color has.
 
     The attribute ``stillray:pixelFilter`` comes first. Cycles writes nothing of its filter: a file
     with attributes of Cycles is taken to have Blender's usual one.
 
-    Raises
-    ------
-    InputError
-        The attribute holds no filter.
+    Parameters
+    ----------
+    file
+        The file.
+    color
+        A channel of the color, whose part is looked at before others.
     """
-    attributes = {a.name: a for part in file.container.parts for a in part.attributes}
+    attributes = attributes_of(file, color)
     if own := attributes.get(FILTER_ATTRIBUTE):
-        try:
-            return FilterSource(own.name, parse_filter(own.value.decode("utf-8", "replace")))
-        except InputError as error:
-            raise InputError(f"{file.path}: {FILTER_ATTRIBUTE}: {error}") from None
+        return _of_attribute(own)
     for name in attributes:
         if CYCLES_SAMPLES.fullmatch(name):
             return FilterSource(name, filter_spread("blackman-harris"), _CYCLES_NOTE)
     return FilterSource()
+
+
+def _of_attribute(attribute: Attribute) -> FilterSource:
+    number = number_of(attribute)
+    text = attribute.value[:64].decode("utf-8", "replace") if number is None else f"{number:g}"
+    try:
+        return FilterSource(attribute.name, parse_filter(text))
+    except InputError as error:
+        return FilterSource(note=f"{attribute.name}: {error}")

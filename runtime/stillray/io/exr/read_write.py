@@ -109,7 +109,7 @@ def read_exr(
     ------
     InputError
         A file cannot be read completely, lacks its buffer, or differs in size; a channel of
-        samples holds what no count can be, or the attribute of the pixel filter none.
+        samples holds what no count can be.
     """
     file = ExrFile.of_layers(path, layers)
     given = {role: Path(companion) for role, companion in (companions or {}).items()}
@@ -127,7 +127,8 @@ def read_exr(
         matches = [match for match in matches if match.role != "samples"]
     late = [m for m in matches if m.convention is not None and m.convention.stored == "before"]
     names = dict.fromkeys(name for m in matches if m not in late for name in m.channels)
-    window = file.window(next(m for m in matches if m.role == "color").channels[0])
+    first = next(m for m in matches if m.role == "color").channels[0]
+    window = file.window(first)
     planes = file.read(names, window)
     buffers: dict[str, Any] = {m.role: gather(m, planes) for m in matches if m not in late}
     if late and before is not None:  # a first frame has no frame before, and needs no motion
@@ -144,7 +145,7 @@ def read_exr(
     else:
         buffers["samples"] = source.number if samples is None else samples
     buffers["jitter"] = find_jitter(file)
-    buffers["filter_spread"] = find_filter(file).spread
+    buffers["filter_spread"] = find_filter(file, first).spread
     return Frame(**buffers)
 
 

@@ -62,7 +62,7 @@ def find_samples(
     if (chosen or {}).get("samples") == "none":
         return SampleSource(note="left out, as you said")
     own = found["color"].channels[0] if "color" in found else ""
-    attributes = _attributes(file, own)
+    attributes = attributes_of(file, own)
     if OWN_ATTRIBUTE in attributes:
         return _of_attribute(attributes[OWN_ATTRIBUTE])
     layers = {hit[1]: name for name in attributes if (hit := CYCLES_SAMPLES.fullmatch(name))}
@@ -77,8 +77,8 @@ def find_samples(
     return said[0]
 
 
-def _attributes(file: ExrFile, color: str) -> dict[str, Attribute]:
-    """Attributes by name, those of the part that holds a channel before others."""
+def attributes_of(file: ExrFile, color: str) -> dict[str, Attribute]:
+    """Attributes by name, those of the part that holds a channel before others; of any if empty."""
     first = file.container.parts[file.channels[color][0]] if color else file.container.parts[0]
     found: dict[str, Attribute] = {}
     for part in (first, *file.container.parts):
@@ -88,7 +88,7 @@ def _attributes(file: ExrFile, color: str) -> dict[str, Attribute]:
 
 
 def _of_attribute(attribute: Attribute, note: str = "") -> SampleSource:
-    number = _number(attribute)
+    number = number_of(attribute)
     if number is None or not 0 < number <= MOST_SAMPLES:
         text = attribute.value[:32].decode("utf-8", "replace")
         value = text if number is None else f"{number:g}"
@@ -96,7 +96,7 @@ def _of_attribute(attribute: Attribute, note: str = "") -> SampleSource:
     return SampleSource(attribute.name, number, note)
 
 
-def _number(attribute: Attribute) -> float | None:
+def number_of(attribute: Attribute) -> float | None:
     """The value of an attribute of text or a number; None of any other."""
     try:
         if attribute.kind == "string":
