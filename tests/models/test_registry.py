@@ -60,14 +60,20 @@ def test_an_unknown_name_lists_models_and_qualities():
 
 
 @pytest.mark.parametrize(
-    ("quality", "name"), [("high", "kpyr-5"), ("balanced", "kpyr-5s"), ("fast", "kpyr-5s")]
+    ("quality", "stream", "alone"),
+    [
+        ("high", "kpyr-5", "kpyr-5-still"),
+        ("balanced", "kpyr-5s", "kpyr-5-still"),
+        ("fast", "kpyr-5s", "kpyr-5s-still"),
+    ],
 )
-def test_a_quality_is_another_model_where_frames_have_no_past(quality, name):
-    with Denoiser(quality, temporal=False) as alone, Denoiser(quality) as stream:
-        assert (alone.model.name, stream.model.name) == (f"{name}-still", name)
+def test_a_quality_is_another_model_where_frames_have_no_past(quality, stream, alone):
+    for name, temporal in ((stream, True), (alone, False)):
+        with Denoiser(quality, temporal=temporal) as denoiser:
+            assert denoiser.model.name == name
     # who names a model gets it
-    with Denoiser(name, temporal=False) as alone:
-        assert alone.model.name == name
+    with Denoiser(stream, temporal=False) as denoiser:
+        assert denoiser.model.name == stream
 
 
 def test_a_model_of_single_frames_takes_no_past():

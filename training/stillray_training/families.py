@@ -86,6 +86,7 @@ def _pyramid(
     )
     image = kernel_pyramid(light, samples, maps, spec.decoder, box)
     image = image * batch["divisor"]
+    # of a box, whatever filter a patch has: recipes whose scenes have others train with 0
     toned = spec.decoder.resolve_tone
     tone = toned * batch["exposure"] if toned else None
     return resolve(image, finest.resolve, batch["previous"], batch["valid"], tone)
