@@ -14,7 +14,7 @@ from stillray.io.exr.read_write import atomic_path
 from tests import worst_errors
 from tests.conftest import NotAccumulatedError
 from tests.hard_cases.case import Case
-from tests.hard_cases.catalogue import CASES, ON_TRIAL, OfFrameSize, models_and_providers
+from tests.hard_cases.catalogue import BY_NAME, CASES, OfFrameSize, models_and_providers
 from tests.hard_cases.features import ON_DEMAND
 
 _HEAD = """# Hard cases
@@ -22,9 +22,10 @@ _HEAD = """# Hard cases
 Written by `python -m tests.hard_cases --report docs/hard-cases.md`. The suite runs the
 same cases over every packaged model and every ONNX Runtime provider that is installed, and fails
 where a figure is above its limit: a new model is not done until it passes. Figures in bold
-are above it; they are known, and listed with their reason below the table. Models on trial, which
-are found by their name alone, come last and are not held to the limits; pictures of those that
-double are brought to the frame's size first.
+are above it; they are known, and listed with their reason below the table. Models that
+are found by their name alone, those for frames without a past and those on trial, come last and are
+not held to the limits; pictures of those that double are brought to the frame's size first. Where
+frames have no past, how soon a picture follows its light says how noisy one frame is.
 
 Frames are 24x33 pixels unless a case says otherwise. "The surroundings" of a firefly are a wall and
 a box of radiance 0.1 to 0.7, without noise, so that all that differs is what the firefly did.
@@ -96,7 +97,7 @@ def cases_table() -> str:
     """A row a case, a column a model and provider."""
     columns = [
         *models_and_providers(),
-        *((model, "CPUExecutionProvider") for model in ON_TRIAL),
+        *((model, "CPUExecutionProvider") for model in BY_NAME),
     ]
     heads = [
         f"{model}, {provider.removesuffix('ExecutionProvider')}" for model, provider in columns
