@@ -54,6 +54,26 @@ def filter_spread(kind: str, width: float | None = None) -> float:
     return check_spread(_SPREADS[kind](width))
 
 
+def cycles_spread(kind: str, width: float) -> float:
+    """Standard deviation of a filter as Cycles calls it, in pixels.
+
+    Parameters
+    ----------
+    kind
+        ``BOX``, which Cycles takes for one pixel whatever its width, ``GAUSSIAN`` or
+        ``BLACKMAN_HARRIS``.
+    width
+        Pixels, above 0.
+
+    Raises
+    ------
+    InputError
+        There is no such filter, or its width is none.
+    """
+    name = kind.lower().replace("_", "-")
+    return filter_spread(name, None if name == "box" else width)
+
+
 def filter_sharpness(spread: float | None) -> float:
     """How nearly a filter is a box, whose glints end with their pixel.
 

@@ -36,6 +36,13 @@ def test_qualities_are_the_aliases_that_the_files_and_the_specifications_hold():
     assert qualities() == {alias: spec["name"] for spec in specs for alias in spec["aliases"]}
 
 
+@pytest.mark.parametrize(
+    "name", sorted(p.stem for p in (Path(__file__).parents[2] / "models_spec").glob("*.toml"))
+)
+def test_a_specification_holds_the_recipe_that_made_the_file(name):
+    assert load(name).training == find_model(name).spec.training
+
+
 def test_differences_are_those_of_the_same_specification_or_the_file_s_own():
     model = find_model("wskp-3s")
     own = ("the paper says one thing; here is another",)

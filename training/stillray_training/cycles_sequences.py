@@ -21,14 +21,13 @@ from stillray.cli import program
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.exr.read_write import atomic_path
-from stillray.pixel_filter import filter_spread
+from stillray.pixel_filter import cycles_spread
 from stillray_training.blender.record import RECORD as RENDERED
 from stillray_training.blender.record import TAKEN
 from stillray_training.own_renders import layers_of
 from stillray_training.simulate.sequence import RECORD, is_complete, write
 from stillray_training.targets import make_targets
 
-_FILTERS = {"GAUSSIAN": "gaussian", "BLACKMAN_HARRIS": "blackman-harris"}  # as Cycles names them
 _BRIGHTNESS = 0.03  # by which a target may be off its reference: more, and it teaches that, too
 
 
@@ -100,10 +99,9 @@ def take(rendered: Path, out: Path, assets: Path | None = None) -> float | None:
 
 def _filter_spread(given: dict[str, Any]) -> float | None:
     """Of the pixel filter that a scene was rendered with; None of records that lack its width."""
-    kind, width = given.get("filter"), given.get("filter_width")
-    if kind == "BOX":  # which Cycles takes for one pixel, whatever width is set
-        return filter_spread("box")
-    return None if kind is None or width is None else filter_spread(_FILTERS[kind], width)
+    kind = given.get("filter")
+    width = given.get("filter_width", 1.0 if kind == "BOX" else None)  # a box is of any width
+    return None if kind is None or width is None else cycles_spread(kind, width)
 
 
 def _read(layout: Layout, path: Path, before: Path | None) -> Frame:

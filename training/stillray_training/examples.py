@@ -73,7 +73,16 @@ class Example:
     kind: str = NOISY  # or STILL or QUIET
     sequence: str = ""  # name of its folder
     frames: int = 1  # accumulated
-    filter_spread: float | None = 0.0  # of the pixel filter, pixels; None: not known
+    rendered_spread: float | None = None  # of the render's pixel filter, pixels; None: not known
+    film_variance: float = 0.0  # what a wider film added to that, square pixels
+
+    @property
+    def filter_spread(self) -> float | None:
+        """Standard deviation of the pixel filter, in pixels; None where it is not known."""
+        if self.rendered_spread is None:
+            return None
+        # variances of filters one after the other add up
+        return math.sqrt(self.rendered_spread**2 + self.film_variance)
 
 
 def find_sequences(folder: Path) -> list[Path]:
@@ -104,15 +113,7 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Examp
     examples = _all_examples(sequence, frames, reference, spp, spec, strips)
     rendered = read_filter(sequence)
     return [
-        replace(
-            example,
-            sequence=sequence.name,
-            # variances of filters one after the other add up
-            filter_spread=None
-            if rendered is None or example.filter_spread is None
-            else math.hypot(rendered, example.filter_spread),
-        )
-        for example in examples
+        replace(example, sequence=sequence.name, rendered_spread=rendered) for example in examples
     ]
 
 
@@ -145,8 +146,8 @@ def _all_examples(
         if index < stills and rng.random() < _WIDE:
             deviation = rng.uniform(*DEVIATIONS)
             frame = frame_through_film(frame, deviation)
-            wanted, added = through_film(reference, deviation), math.sqrt(film_variance(deviation))
-        example = replace(_example([frame], wanted, spec, strips), filter_spread=added)
+            wanted, added = through_film(reference, deviation), film_variance(deviation)
+        example = replace(_example([frame], wanted, spec, strips), film_variance=added)
         examples.append(replace(example, spp=samples, kind=STILL))
     for frame, samples in _quiets(blocks, reference, rng):
         examples.append(_quiet_example(frame, samples, reference, spec, strips, rng))

@@ -8,6 +8,7 @@ import numpy as np
 
 from stillray.errors import InputError
 from stillray.model_spec import ModelSpec
+from stillray.model_spec.loader import PIXEL_FILTER
 from stillray.stages import features as encode
 from stillray_training.examples import NOISY, QUIET, STILL, Example
 
@@ -138,7 +139,7 @@ class PatchSampler:
         # whoever does not say how many samples a frame has is taken to have one
         spp = example.spp if rng.random() < _SAMPLES_KNOWN else 1.0
         spread = None
-        if spec.knows_filter and rng.random() < _FILTER_KNOWN:
+        if PIXEL_FILTER in spec.network.features and rng.random() < _FILTER_KNOWN:
             spread = example.filter_spread
         stops = rng.uniform(-recipe.exposure_stops, recipe.exposure_stops)
         exposure = float(example.exposure * 2**stops)

@@ -84,10 +84,7 @@ def samples_of(scene, layer) -> int:
 
 
 def filter_spread_of(scene) -> float:
-    """Standard deviation of Cycles' pixel filter, in pixels; a box is one pixel at any width."""
-    from stillray.pixel_filter import filter_spread
+    """Standard deviation of Cycles' pixel filter, in pixels."""
+    from stillray.pixel_filter import cycles_spread
 
-    kind = scene.cycles.pixel_filter_type
-    if kind == "BOX":
-        return filter_spread("box")
-    return filter_spread(kind.lower().replace("_", "-"), scene.cycles.filter_width)
+    return cycles_spread(scene.cycles.pixel_filter_type, scene.cycles.filter_width)
