@@ -39,9 +39,8 @@ def kernel_pyramid_cost(levels: int, options: PyramidKernels) -> tuple[float, fl
         operations += filtered
         planes += moved + 1  # a filter has a weight of the pixel itself, too
     gained = len(COLORS) * (EXP + 2) if options.most_gain > 1 else 0
-    resolve = (
-        gained + 9 * (1 + 3 * 2) + 3 + 3
-    )  # eight neighbours and the past; normalised, modulated
+    # eight neighbours and the past; normalised, modulated
+    resolve = gained + 9 * (1 + 3 * 2) + 3 + 3
     return operations + resolve, planes
 
 
