@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import bmesh
 import bpy
@@ -28,13 +28,24 @@ class Material:
     """
 
     def __init__(self, name: str, color: Color = (0.8, 0.8, 0.8), **inputs: float) -> None:
-        self.data = bpy.data.materials.new(name)
-        self.data.use_nodes = True
-        self.nodes, self.links = self.data.node_tree.nodes, self.data.node_tree.links
-        self.surface = self.nodes["Principled BSDF"]
+        data = bpy.data.materials.new(name)
+        data.use_nodes = True
+        self._take(data)
         self.surface.inputs["Base Color"].default_value = (*color, 1)
         for key, value in inputs.items():
             self.surface.inputs[key.replace("_", " ")].default_value = value
+
+    @classmethod
+    def of(cls, data: Any) -> Self:
+        """A material that Blender's data holds already, with a Principled BSDF."""
+        made = cls.__new__(cls)
+        made._take(data)
+        return made
+
+    def _take(self, data: Any) -> None:
+        self.data = data
+        self.nodes, self.links = data.node_tree.nodes, data.node_tree.links
+        self.surface = self.nodes["Principled BSDF"]
 
     def node(self, kind: str, **inputs: Any) -> Any:
         """A node of ``ShaderNode<kind>``; inputs are values, or outputs of other nodes."""
