@@ -73,6 +73,21 @@ def test_cameras_move_further_in_the_same_scene(tmp_path):
     assert paths[1] > 1.2 * paths[0] > 0.1
 
 
+def test_relief_shows_in_normals_of_the_same_scene(tmp_path):
+    shown = {}
+    for relief in ("0", "1"):
+        options = ["--first-seed", str(MOVING), "--count", "1", "--size", "32", "--reference", "4"]
+        done = render(tmp_path / relief, *options, "--relief", relief)
+        assert done.returncode == 0, done.stderr
+        scene = tmp_path / relief / f"{MOVING:05d}"
+        assert json.loads((scene / "rendered.json").read_text())["relief"] == (relief == "1")
+        shown[relief] = read_exr(scene / "ref_0007.exr")
+    plain, embossed = shown["0"], shown["1"]
+    np.testing.assert_allclose(plain.depth, embossed.depth, rtol=1e-3)
+    steps = [np.abs(np.diff(each.normal, axis=1)).mean() for each in (plain, embossed)]
+    assert steps[1] > 1.5 * steps[0]
+
+
 def test_a_motion_that_is_less_than_usual_is_told(tmp_path):
     done = render(tmp_path, "--motion", "0.5")
     assert done.returncode == 2
