@@ -173,11 +173,6 @@ def kernel_pyramid(
         for image in (mean, np.moveaxis(sample, 0, -1))
     )
     light, held = np.zeros_like(padded[..., :3]), np.zeros(full)
-    if options.most_gain > 1:
-        gain = options.most_gain ** (np.log(weights[0][-3:]) / bound)
-        weights[0] = weights[0][:-3]
-    else:
-        gain = np.ones((3, 1, 1))
     # of the finest level what its filters compare and weigh by comes last, weights of neighbours
     # before
     filters = options.filter_features + 2 * len(options.finest_filters)
@@ -245,7 +240,7 @@ def kernel_pyramid(
         features = np.log(compared[: options.filter_features])
         pair = compared[options.filter_features + 2 * index :][:2]
         result = _by_likeness(result, features, pair[0], pair[1], distance)
-    radiance = (result * np.moveaxis(gain, 0, -1))[:height, :width] * albedo
+    radiance = result[:height, :width] * albedo
     resolved, tone = np.zeros_like(radiance), options.resolve_tone * exposure
     for y, x in np.ndindex(height, width):
         choices = [radiance[y, x], previous[y, x, :3].astype(np.float64)]

@@ -37,7 +37,7 @@ SMALLER = {
     ),
     "kpyr-5s": (
         {"widths": (8,), "encoder_blocks": (1,), "decoder_blocks": (), "concatenate": ()},
-        {"finest_filters": (2,), "most_gain": 2.0},
+        {"finest_filters": (2,)},
     ),
     "nbg-2x3": ({}, {}),
     "wskp-mr": ({}, {"kernel_sizes": (5,)}),

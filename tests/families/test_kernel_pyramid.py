@@ -107,29 +107,6 @@ def test_weights_of_the_finest_levels_neighbours_equal_the_loop_oracle(height, w
         np.testing.assert_allclose(got, expected, rtol=5e-6)
 
 
-@pytest.mark.parametrize("spread", [2.0, 1e4])
-@pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 1), (9, 14), (41, 18)])
-def test_a_gain_of_the_finest_level_equals_the_loop_oracle(height, width, spread):
-    options = dataclasses.replace(OPTIONS, most_gain=2.0, logit_bound=12.0)
-    inputs = draw(height, width, options=options, spread=spread)
-    expected = oracles.kernel_pyramid(*inputs, options)
-    for threads in (1, 3):
-        got = filtered(*inputs, options, Strips(threads))
-        # features that all lie at a bound of 12 cancel more than those of the models' own
-        np.testing.assert_allclose(got, expected, rtol=5e-6 if spread < 10 else 2e-4)
-
-
-@pytest.mark.parametrize("says", [-np.inf, -1e9, 0.0, 3.0, 1e9, np.inf, np.nan])
-def test_a_gain_stays_within_its_bound(says):
-    options = dataclasses.replace(OPTIONS, most_gain=3.0, resolve_tone=0.0)
-    mean, sample, albedo, _, logits = draw(9, 14, options=options)
-    mean[..., :3], sample[:3], albedo[:] = 0.7, 0.7, 1
-    logits[0][level_layout(0, LEVELS, options).gain] = says
-    got = filtered(mean, sample, albedo, None, logits, options, Strips(1))
-    power = np.clip(np.nan_to_num(says, nan=0.0), -1e9, 1e9) / options.logit_bound
-    np.testing.assert_allclose(got, 0.7 * 3.0 ** np.clip(power, -1, 1), rtol=1e-5)
-
-
 @pytest.mark.parametrize("distances", [(1,), (2, 1), (40,), (4, 2, 1)])
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 1), (9, 14), (41, 18)])
 def test_filters_of_the_finest_level_equal_the_loop_oracle(height, width, distances):

@@ -17,9 +17,8 @@ from stillray.model_spec.network_outputs import network_outputs
 @pytest.mark.parametrize("distances", [(), (1, 3)])
 @pytest.mark.parametrize("filters", [(), (4, 1)])
 @pytest.mark.parametrize("name", ["kpyr-5", "kpyr-5s"])
-@pytest.mark.parametrize("gain", [1.0, 2.0])
 def test_a_pyramid_gives_the_logits_of_every_level(
-    name, filters, distances, kernel_sizes, finest, predicted, gain
+    name, filters, distances, kernel_sizes, finest, predicted
 ):
     spec = load(name)
     decoder = replace(
@@ -30,7 +29,6 @@ def test_a_pyramid_gives_the_logits_of_every_level(
         finest_neighbours=distances,
         finest_filters=filters,
         filter_features=5 * bool(filters),
-        most_gain=gain,
     )
     spec = replace(spec, decoder=decoder)
     levels, block = spec.network.resolutions, spec.network.block

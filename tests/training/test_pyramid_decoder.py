@@ -29,8 +29,7 @@ def _nchw(image):
 @pytest.mark.parametrize("predicted", [True, False])
 @pytest.mark.parametrize("distances", [(), (1, 2)])
 @pytest.mark.parametrize("filters", [(), (4, 1)])
-@pytest.mark.parametrize("gain", [1.0, 2.0])
-def test_the_twin_equals_the_runtime(finest, predicted, distances, filters, gain):
+def test_the_twin_equals_the_runtime(finest, predicted, distances, filters):
     options = dataclasses.replace(
         OPTIONS,
         finest_kernels=finest,
@@ -38,7 +37,6 @@ def test_the_twin_equals_the_runtime(finest, predicted, distances, filters, gain
         finest_neighbours=distances,
         finest_filters=filters,
         filter_features=3 * bool(filters),
-        most_gain=gain,
     )
     mean, sample, albedo, previous, logits = draw(16, 24, options=options)
     light = Filterable(

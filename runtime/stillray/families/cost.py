@@ -6,7 +6,7 @@ window's sum is two additions an axis however large the window is.
 
 from __future__ import annotations
 
-from stillray.families.pyramid_logits import COLORS, level_layout, level_logits
+from stillray.families.pyramid_logits import level_layout, level_logits
 from stillray.model_spec.loader import FeatureFilters, PyramidKernels
 
 WINDOW_SUM = 4  # operations: one value comes in and one goes out, along each axis
@@ -38,9 +38,7 @@ def kernel_pyramid_cost(levels: int, options: PyramidKernels) -> tuple[float, fl
         filtered, moved = gaussian_cost(3, options.filter_features)
         operations += filtered
         planes += moved + 1  # a filter has a weight of the pixel itself, too
-    gained = len(COLORS) * (EXP + 2) if options.most_gain > 1 else 0
-    # eight neighbours and the past; normalised, modulated
-    resolve = gained + 9 * (1 + 3 * 2) + 3 + 3
+    resolve = 9 * (1 + 3 * 2) + 3 + 3  # eight neighbours and the past; normalised, modulated
     return operations + resolve, planes
 
 

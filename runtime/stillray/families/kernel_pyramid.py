@@ -6,8 +6,7 @@ its kernels, its neighbours, the coarser level, which is doubled by shares of th
 the finest level is filtered along what looks alike (see `stillray.families.finest_filters`), and
 the re-modulated result is resolved with its neighbours and the previous output, which smooths
 edges as supersampling would and holds the picture still. Every step is a convex combination: no
-light is invented, but where the spec lets the finest level be multiplied by a bounded gain, which
-shades relief that normals show and noise hides.
+light is invented.
 """
 
 from __future__ import annotations
@@ -179,7 +178,7 @@ def filter_pyramid(
     -------
     (h, w, 3) float32
         Radiance: for every pixel a convex combination of the irradiance around it, accumulated
-        and new, times the divisors and gains of its 3x3 neighbours, and of the previous output.
+        and new, times the divisors of its 3x3 neighbours, and of the previous output.
     """
     image = _filtered(light, logits, options, strips, toned)
     # A logit that is not a number says nothing: 0. It shows in the image, which is a fifth of the
@@ -404,25 +403,12 @@ class _Level:
             self.blend(around, padded[:, filled, 1:-1], workspace)
         else:
             padded[:, filled, 1:-1] = self.filtered[:, around]
-        if self.options.most_gain > 1:
-            self._multiply_gain(around, padded[:, filled, 1:-1], workspace)
         if light.remodulation_albedo is not None:
             by = workspace.array("by", (3, around.stop - around.start, width))
             padded[:, filled, 1 : 1 + width] *= planes_of(light.remodulation_albedo[around], out=by)
         padded = padded[:, :, : width + 2]
         _repeat_border(padded, top=rows.start == 0, bottom=rows.stop == height)
         return padded
-
-    def _multiply_gain(self, rows: slice, planes: np.ndarray, workspace: Workspace) -> None:
-        """Multiply rows of the finest level, ``(3, rows, w)``, by what the network says."""
-        bound = np.float32(self.options.logit_bound)
-        power = np.log(np.float32(self.options.most_gain)) / bound
-        logits = self.logits[self.layout.gain, rows]
-        gain = workspace.array("gain", planes.shape[1:])
-        for logit, plane in zip(logits, planes, strict=True):
-            np.clip(logit, -bound, bound, out=gain)
-            gain *= power
-            plane *= cv2.exp(gain, dst=gain)
 
     def blend(self, rows: slice, out: np.ndarray, workspace: Workspace) -> None:
         """Rows of the level, ``(3, rows, w)``: itself, its kernels and the coarser level."""

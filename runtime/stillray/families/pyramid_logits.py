@@ -17,9 +17,6 @@ from stillray.model_spec.loader import PyramidKernels
 #: Neighbours of a pixel in the order of their logits: (rows down, columns right).
 NEIGHBOURS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 
-#: Channels that have a gain of their own, in the order of their logits.
-COLORS = ("red", "green", "blue")
-
 
 @dataclass(frozen=True)
 class LevelLayout:
@@ -52,9 +49,6 @@ class LevelLayout:
         At the finest level what its last filters compare; empty elsewhere, and without filters.
     filters
         A pair a filter: what a pixel weighs to others, and to itself.
-    gain
-        At the finest level, where the spec allows any, what red, green and blue are multiplied by
-        after the filters: ``most_gain`` to the power of these over the bound; empty elsewhere.
     distances
         Of the neighbours, in pixels of the level.
     filter_distances
@@ -70,7 +64,6 @@ class LevelLayout:
     around: slice
     features: slice
     filters: slice
-    gain: slice
     distances: tuple[int, ...]
     filter_distances: tuple[int, ...]
 
@@ -91,21 +84,20 @@ def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayou
         len(NEIGHBOURS) * len(distances),
         options.filter_features if level == 0 else 0,
         2 * len(filters),
-        len(COLORS) if level == 0 and options.most_gain > 1 else 0,
     )
     starts = [sum(counts[:index]) for index in range(len(counts) + 1)]
-    importance, pool, blend, resolve, sample_blend, double, around, features, pairs, gain = (
+    importance, pool, blend, resolve, sample_blend, double, around, features, pairs = (
         slice(a, b) for a, b in pairwise(starts)
     )
     return LevelLayout(
         importance, pool, blend, resolve, sample_blend, double, around, features, pairs,
-        gain, distances, filters,
+        distances, filters,
     )  # fmt: skip
 
 
 def level_logits(level: int, levels: int, options: PyramidKernels) -> int:
     """Planes that a level's logits have, 0 being the finest."""
-    return level_layout(level, levels, options).gain.stop
+    return level_layout(level, levels, options).filters.stop
 
 
 def logit_names(level: int, levels: int, options: PyramidKernels) -> list[str]:
@@ -126,7 +118,6 @@ def logit_names(level: int, levels: int, options: PyramidKernels) -> list[str]:
         "filters": [
             f"{far} {who}" for far in layout.filter_distances for who in ("others", "itself")
         ],
-        "gain": list(COLORS),
     }
     counted = {name: getattr(layout, name) for name in names}
     return [
@@ -143,7 +134,7 @@ def seen_from(view: View, level: int, levels: int, options: PyramidKernels) -> l
     the bottom right.
     """
     layout = level_layout(level, levels, options)
-    places = np.arange(layout.gain.stop)
+    places = np.arange(layout.filters.stop)
     signs = np.array([-1 if view.rows else 1, -1 if view.columns else 1])
     others = [NEIGHBOURS.index((down, right)) for down, right in signs * np.array(NEIGHBOURS)]
     count = len(NEIGHBOURS)

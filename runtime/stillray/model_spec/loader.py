@@ -74,7 +74,6 @@ _MAX_KERNELS = 16
 _MAX_WINDOW = 127  # pixels of a reconstruction kernel
 _MAX_FILTER_FEATURES = 32
 _MOST_TONE = 1000.0
-_MOST_GAIN = 16.0
 _MAX_LOCAL_SIZE = 255  # pixels
 _MAX_COUNT = 10**9  # steps and the like, of training
 BUFFERS = (
@@ -302,9 +301,6 @@ class PyramidKernels(Decoder):
     # the network says, x and y being the exposed luminance of pixel and neighbour; 0: all of it.
     # Less where the renderer's pixel filter is softer than a box, up to none of it.
     resolve_tone: float = 0.0
-    # The finest level's light is multiplied, color by color, by 1 over this to this, as the network
-    # says: shading that normals show and noise hides; 1: not.
-    most_gain: float = 1.0
     # Views of a frame whose pictures are averaged, 1 to 4, see `stillray.families.views`.
     ensemble: int = 1
 
@@ -313,7 +309,6 @@ class PyramidKernels(Decoder):
         _within("decoder.ensemble", self.ensemble, 1, MOST_ENSEMBLE)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
         _within("decoder.resolve_tone", self.resolve_tone, 0, _MOST_TONE)
-        _within("decoder.most_gain", self.most_gain, 1, _MOST_GAIN)
         _each("decoder.finest_neighbours", self.finest_neighbours, 1, _MAX_WINDOW // 2)
         _each("decoder.finest_filters", self.finest_filters, 1, _MAX_WINDOW // 2)
         _within(

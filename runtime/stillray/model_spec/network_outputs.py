@@ -21,7 +21,6 @@ from stillray.model_spec.loader import (
 from stillray.model_spec.network_weights import PARAMETERS
 
 _NEIGHBOURS = 8
-_COLORS = 3
 
 
 #: Planes and reduction of each output, finest first.
@@ -72,7 +71,6 @@ def _pyramid_planes(decoder: PyramidKernels, level: int, levels: int) -> int:
     planes = 2 * kernels + (0 if coarsest else 2)  # importance, blend; pool and blend's own
     if level == 0:
         planes += decoder.filter_features + 2 * len(decoder.finest_filters)
-        planes += _COLORS if decoder.most_gain > 1 else 0
         # the previous output, this frame's sample
         return planes + _NEIGHBOURS * (1 + len(decoder.finest_neighbours)) + 2
     return planes + 8 + (_NEIGHBOURS if decoder.predicted else 0)  # doubling, neighbours

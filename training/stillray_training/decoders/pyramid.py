@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -32,7 +31,6 @@ class LevelParts(NamedTuple):
     around: Tensor
     features: Tensor
     filters: Tensor
-    gain: Tensor
 
 
 def level_parts(logits: Sequence[Tensor], options: PyramidKernels) -> list[LevelParts]:
@@ -128,9 +126,6 @@ def kernel_pyramid(
     for distance, pair in pairs:
         weight, own = pair.exp().split(1, 1)
         result = gaussian(result, finest.features, weight, own, distance)
-    if finest.gain.shape[1]:
-        power = math.log(options.most_gain) / options.logit_bound
-        result = result * (power * finest.gain).exp()
     return result
 
 

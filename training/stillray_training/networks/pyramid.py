@@ -146,7 +146,6 @@ def kernel_pyramid_net(spec: ModelSpec) -> PyramidNet:
             bias[layout.filters][0::2], bias[layout.filters][1::2] = 0, _UNFILTERED
             weight[layout.features] *= 2  # surfaces should differ from the start
             bias[layout.features] = 0
-            weight[layout.gain] = bias[layout.gain] = 0  # light as it was filtered
     return made
 
 
