@@ -10,6 +10,7 @@ import numpy as np
 from stillray.families.feature_reconstruction import Rules
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
 from stillray.model_spec.loader import BilateralGrids, FusedKernels, PyramidKernels, Temporal
+from stillray.stages import relief as stage
 
 
 def fused_kernels(
@@ -468,3 +469,82 @@ def _softmax(logits: np.ndarray) -> np.ndarray:
     """Of logits and of one more before them, which is 0."""
     weights = np.exp(np.concatenate([np.zeros_like(logits[:1]), logits]))
     return np.asarray(weights / weights.sum(0))
+
+
+def relief(image, prepared, window: float) -> np.ndarray:
+    """`stages.relief`: the gain, block by block and pixel by pixel; arguments as it takes them."""
+    height, width = image.shape[:2]
+    size, reach = stage.BLOCK, stage.FINE // 2
+    normal = prepared.normal.astype(np.float64)
+    fine, weight = np.zeros_like(normal), np.zeros((height, width))
+    taken = np.zeros_like(weight)
+    shares = np.array([0.2126, 0.7152, 0.0722])
+    for y, x in np.ndindex(height, width):
+        fine[y, x] = normal[y, x] - _around(normal, y, x, reach).mean(axis=0)
+        exponent = (fine[y, x] ** 2).sum() / stage.BENT**2
+        weight[y, x] = np.exp(-exponent)
+        if prepared.depth is not None:
+            depth = prepared.depth.astype(np.float64)
+            if depth[y, x] == 0:
+                weight[y, x] = 0
+            else:
+                inverse = [1 / d if d else 0 for d in _around(depth[..., None], y, x, 1)[:, 0]]
+                apart = (np.mean(inverse) * depth[y, x] - 1) / stage.APART
+                weight[y, x] *= np.exp(-(apart**2))
+        left = image[y, x] @ shares
+        now = prepared.luminance[y, x] * (prepared.remodulation_albedo[y, x] @ shares)
+        relative = (now - left) / (left + stage.DARKEST / prepared.history.exposure)
+        taken[y, x] = min(max(relative, -stage.MOST_TAKEN), stage.MOST_TAKEN)
+    blocks = (-(-height // size), -(-width // size))
+    slopes = np.zeros((*blocks, 3))
+    for row, column in np.ndindex(*blocks):
+        slopes[row, column] = _slope(fine, weight, taken, (row, column), window)
+    gain = np.zeros((height, width))
+    for y, x in np.ndindex(height, width):
+        total = np.zeros(3)
+        (top, down), (left, right) = (
+            divmod(min(max((at + 0.5) / size - 0.5, 0), count - 1), 1)
+            for at, count in zip((y, x), blocks, strict=True)
+        )
+        for a, b in np.ndindex(2, 2):
+            share = (down if a else 1 - down) * (right if b else 1 - right)
+            at = min(int(top) + a, blocks[0] - 1), min(int(left) + b, blocks[1] - 1)
+            total += share * slopes[at]
+        gain[y, x] = 1 + weight[y, x] * (total @ fine[y, x])
+    return np.clip(gain, stage.LEAST_GAIN, stage.MOST_GAIN)
+
+
+def _around(image: np.ndarray, y: int, x: int, reach: int) -> np.ndarray:
+    """The pixels of a window, the border repeated: ``(n, channels)``."""
+    height, width = image.shape[:2]
+    return np.array(
+        [
+            image[min(max(y + a, 0), height - 1), min(max(x + b, 0), width - 1)]
+            for a in range(-reach, reach + 1)
+            for b in range(-reach, reach + 1)
+        ]
+    )
+
+
+def _slope(fine, weight, taken, block, window: float) -> np.ndarray:
+    """Of one block: pixels weighed by how far their block is, a Gaussian of block to block."""
+    height, width = weight.shape
+    size, sigma = stage.BLOCK, window / stage.BLOCK
+    reach = int(np.ceil(3 * sigma))
+    line = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * sigma**2))
+    line /= line.sum()
+    rows, columns = np.arange(height) // size - block[0], np.arange(width) // size - block[1]
+    near = [np.where(abs(far) <= reach, line[np.clip(far + reach, 0, 2 * reach)], 0)
+            for far in (rows, columns)]  # fmt: skip
+    pixels = weight * near[0][:, None] * near[1] / size**2
+    total = pixels.sum() + stage.LEAST_WEIGHT
+    share = pixels / total
+    mean, normals = (share * taken).sum(), (share[..., None] * fine).sum(axis=(0, 1))
+    noise = max((share * taken**2).sum() - mean**2, 0)
+    squares = np.einsum("yx,yxi,yxj->ij", share, fine, fine) - np.outer(normals, normals)
+    products = np.einsum("yx,yxi,yx->i", share, fine, taken) - normals * mean
+    count = 4 * np.pi * window**2 * total
+    ridge = noise / (count * stage.PRIOR**2) + stage.RIDGE
+    found = np.linalg.solve(squares + ridge * np.eye(3), products)
+    explained = found @ products + stage.LEAST_EXPLAINED
+    return found * np.clip(1 - stage.DOUBT * 3 * noise / count / explained, 0, 1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stillray.arrays.strips import Strips
-from stillray.families.contract import Context, Request
+from stillray.families.contract import Context, Layer, Request
 from stillray.families.registry import kernels_of
 from stillray.models.registry import find_model
 from stillray.models.session import Network
@@ -36,7 +36,7 @@ def stream(model, strips, engine):
     for frame in frames():
         context = Context(strips=strips, engine=engine)
         step = family.step(family.plan(frame, state, request, context), context)
-        layer = step.filter_layer("half", frame.color / 2)
+        layer = step.filter_layer("half", Layer(radiance=frame.color / 2))
         state = step.finish()
         past = state.temporal
         found.append(

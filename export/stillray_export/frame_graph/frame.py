@@ -13,6 +13,7 @@ from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import PyramidKernels
 from stillray.stages.accumulate import FILLED_WEIGHT
 from stillray.stages.prepare import LEAST_KEPT
+from stillray.stages.relief import DARKEST
 from stillray.stages.repair import MAX_DEPTH, MAX_MOTION
 from stillray_export.frame_graph.accumulation import (
     SampleCounts,
@@ -29,6 +30,7 @@ from stillray_export.frame_graph.lookup import grid
 from stillray_export.frame_graph.recall import forget_uncovered, recall
 from stillray_export.frame_graph.reflections import follow_reflections, light_of
 from stillray_export.frame_graph.rejection import Noise, compare, confidence
+from stillray_export.frame_graph.relief import relief_gain
 from stillray_export.frame_graph.repair import repair_feature, repair_motion, repair_radiance
 from stillray_export.frame_graph.reprojection import guide_planes, reproject
 from stillray_export.frame_graph.windows import mirrored
@@ -314,12 +316,23 @@ class FrameGraph(nn.Module):
         weights = maps[0].resolve[..., :height, :width]
         tone: Tensor | None = None
         if toned := self.options.resolve_tone:
-            # without albedo the stages divide by nothing, and this graph by that of black
-            absent = (frame.albedo.amax() <= 0).to(torch.float32)
-            exposure = frame.exposure / (1 + self.spec.demodulate.specular * absent)
+            exposure = self._exposure(frame)
             sharpness = filter_sharpness(frame.filter_spread)
             tone = toned * sharpness * exposure.reshape(1, 1, 1, 1)
-        return resolve(image, weights, frame.previous, frame.valid, tone)
+        image = resolve(image, weights, frame.previous, frame.valid, tone)
+        return image * self._relief(frame, image) if self.spec.relief.window else image
+
+    def _relief(self, frame: Prepared, image: Tensor) -> Tensor:
+        """What the picture is multiplied by, see `stillray.stages.relief`."""
+        radiance = frame.light * luminance(frame.divisor)
+        dark = DARKEST / self._exposure(frame)
+        window = self.spec.relief.window
+        return relief_gain(image, radiance, frame.normal, frame.depth, window, dark)
+
+    def _exposure(self, frame: Prepared) -> Tensor:
+        """As the stages have it: without albedo they divide by nothing, this graph by a black's."""
+        absent = (frame.albedo.amax() <= 0).to(torch.float32)
+        return frame.exposure / (1 + self.spec.demodulate.specular * absent)
 
 
 def repaired(

@@ -137,20 +137,32 @@ class Context:
     back_buffer: State | None = None
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Layer:
+    """Another layer of a frame.
+
+    Attributes
+    ----------
+    radiance : (h, w, 3) float32
+        Of any sign; not finite counts as 0.
+    irradiance
+        Whether it is without the colour of surfaces: it is not divided by it.
+    shaded
+        Whether it is light, which relief shades; alpha is none.
+    """
+
+    radiance: np.ndarray
+    irradiance: bool = False
+    shaded: bool = True
+
+
 class LayerFilter(Protocol):
     """Filters another layer of a frame exactly as its color was."""
 
-    def __call__(self, name: str, radiance: np.ndarray, *, irradiance: bool = False) -> np.ndarray:
-        """The layer, ``(h, w, 3)`` float32, filtered.
+    def __call__(self, name: str, layer: Layer) -> np.ndarray:
+        """The layer, ``(h, w, 3)`` float32, filtered; its past is remembered by its name.
 
-        Parameters
-        ----------
-        name
-            By which its past is remembered; one of the request's.
-        radiance : (h, w, 3) float32
-            Of any sign; not finite counts as 0.
-        irradiance
-            Whether the layer is without the colour of surfaces: it is not divided by it.
+        The name is one of the request's.
         """
         ...
 

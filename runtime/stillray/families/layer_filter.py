@@ -17,7 +17,7 @@ import numpy as np
 
 from stillray.arrays.strips import Strips, interleave, planes_of
 from stillray.arrays.workspace import Workspace
-from stillray.families.contract import Context
+from stillray.families.contract import Context, Layer
 from stillray.families.views import mean_picture
 from stillray.model_spec.loader import ModelSpec
 from stillray.pixel_filter import filter_sharpness
@@ -26,6 +26,7 @@ from stillray.stages import previous_output
 from stillray.stages import reproject as rep
 from stillray.stages.decide import TemporalPlan
 from stillray.stages.prepare import discontinuities
+from stillray.stages.relief import multiply
 from stillray.stages.repair import fill
 from stillray.stages.state import Filterable, LayerPast, Prepared, filterable
 
@@ -83,12 +84,12 @@ class FilteredLayers:
         #: By name, what the next frame needs.
         self.pasts: dict[str, LayerPast] = {}
 
-    def __call__(self, name: str, radiance: np.ndarray, *, irradiance: bool = False) -> np.ndarray:
+    def __call__(self, name: str, layer: Layer) -> np.ndarray:
         """Filter a layer, see `stillray.families.contract.LayerFilter`."""
         prepared, past = self._prepared, self._plan.moved
-        albedo = None if irradiance else prepared.demodulation_albedo
+        albedo = None if layer.irradiance else prepared.demodulation_albedo
         accumulated = None if past is None else self._accumulated
-        new, mean = self._demodulated(radiance, albedo, alone=accumulated is None)
+        new, mean = self._demodulated(layer.radiance, albedo, alone=accumulated is None)
         sample: np.ndarray | None = None
         if accumulated is not None and past is not None:
             mean = accumulated(past.layers[name].mean, new[:3])
@@ -97,13 +98,20 @@ class FilteredLayers:
         own = Filterable(
             mean=mean,
             sample=sample,
-            remodulation_albedo=None if irradiance else prepared.remodulation_albedo,
+            remodulation_albedo=None if layer.irradiance else prepared.remodulation_albedo,
             previous=self._previous(name),
             filter_sharpness=filter_sharpness(prepared.filter_spread),
         )
         image = mean_picture(
             self._kernels.reconstruct(own, outputs, self._strips, {}) for outputs in self._frozen
         )
+        if prepared.gain is not None and layer.shaded:
+            gain, strips = prepared.gain, self._strips
+
+            def shade(rows: slice) -> None:
+                multiply(image[rows], gain[rows], strips.workspace)
+
+            strips.run(shade, *gain.shape)
         if self._plan.wants.temporal:
             output: np.ndarray | None = None
             if self._plan.wants.previous_output:

@@ -23,7 +23,7 @@ from stillray.families.network_input import NetworkInput
 from stillray.families.views import VIEWS, View, mean_picture
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
-from stillray.stages import features, previous_output
+from stillray.stages import features, previous_output, relief
 from stillray.stages.decide import TemporalPlan, Wants, decide
 from stillray.stages.means import Means
 from stillray.stages.plan import Plan, Stage
@@ -177,9 +177,17 @@ class TemporalKernels(ABC):
             Stage("reconstruct", True, self.method),
             Stage("upscale", False, "the model's scale is 1"),
             Stage("remodulate", modulates, why),
+            *self._relief(frame),
             Stage("layers", layers > 0, f"{layers} other layers" if layers else "none are given"),
             Stage("keep_output", remembers, why_remember),
         ]
+
+    def _relief(self, frame: Frame) -> list[Stage]:
+        if not self.spec.relief.window:
+            return []
+        if frame.normal is None:
+            return [Stage("relief", False, "no normal given")]
+        return [Stage("relief", True, "what was filtered away is shaded again, as normals tell")]
 
     def step(self, plan: Plan, context: Context) -> Step:
         """Run a frame as it was planned; see `Family`."""
@@ -192,9 +200,14 @@ class TemporalKernels(ABC):
         else:
             keep = outputs if plan.runs("layers") else None
             image = self._picture(prepared, previous, context, keep)
+        gain: np.ndarray | None = None
+        if plan.runs("relief"):
+            with timed(context.timings, "relief"):
+                window, strips = self.spec.relief.window, context.strips
+                gain = relief.shade(image, prepared, window, strips, context.workspace)
         layers: FilteredLayers | None = None
         if outputs:
-            layers = FilteredLayers(self, early, prepared, outputs, context)
+            layers = FilteredLayers(self, early, replace(prepared, gain=gain), outputs, context)
 
         def finish() -> State:
             return self._remember(plan, prepared, image, layers, context)

@@ -113,6 +113,15 @@ class Demodulate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Relief:
+    """Shading by the fine part of normals that is put back, see `stillray.stages.relief`."""
+
+    # standard deviation of the window in which what was filtered away is explained, pixels; 0: it
+    # is left away
+    window: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Transfer:
     """From scene-linear irradiance to network features."""
 
@@ -549,6 +558,8 @@ class ModelSpec:
     network: ImportanceNetwork | PyramidNetwork | GuideNetwork | FilterNetwork | BranchNetwork
     decoder: FusedKernels | PyramidKernels | BilateralGrids | CrossBilateral | FeatureFilters
     training: Training
+    # Models that were exported before it was known have none.
+    relief: Relief = Relief()
     # How it differs from the paper it follows, "what the paper says; here what is done". Prose:
     # no part of what a model is, and models that were exported before it was known lack it.
     differs: tuple[str, ...] = dataclasses.field(default=(), compare=False)
@@ -593,12 +604,14 @@ class ModelSpec:
         _within("temporal.depth_ratio", self.temporal.depth_ratio, 1e-6, 1e6)
         _within("temporal.outlier_deviations", self.temporal.outlier_deviations, 0, 100)
         _within("temporal.most_blur", self.temporal.most_blur, 0, 1e6)
+        _within("relief.window", self.relief.window, 0, 1e3)
 
     def to_json(self) -> str:
         """The spec as JSON text, as it is embedded in a model file."""
         data = dataclasses.asdict(self)
-        if not self.differs:  # as before it was known
-            del data["differs"]
+        for name in ("differs", "relief"):  # as before they were known
+            if not getattr(self, name) or getattr(self, name) == Relief():
+                del data[name]
         return json.dumps(data, sort_keys=True)
 
 

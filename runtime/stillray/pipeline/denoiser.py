@@ -18,7 +18,7 @@ from stillray.arrays.strips import Strips, available_threads
 from stillray.arrays.watch import Progress
 from stillray.arrays.workspace import Workspace
 from stillray.errors import InputError
-from stillray.families.contract import Context, Engine, Family, Keeps, Request, State
+from stillray.families.contract import Context, Engine, Family, Keeps, Layer, Request, State
 from stillray.families.registry import FAMILIES
 from stillray.families.saved_state import read_arrays, write_arrays
 from stillray.frame import Frame
@@ -275,7 +275,7 @@ class Denoiser:
             if values is not Encoding.HDR:
                 frame = replace(frame, color=decoded(frame.color, values, self._strips))
             layers = {"alpha": _grey(frame.alpha, self._strips)} if denoise_alpha else {}
-            image, filtered, state = self._frame(frame, layers, layers, engine)
+            image, filtered, state = self._frame(frame, layers, engine)
             image = encoded(image, values, self._strips)
             alpha = np.clip(filtered["alpha"][..., 0], 0, 1) if denoise_alpha else frame.alpha
             image = target.put(image, alpha, self._strips)
@@ -322,9 +322,12 @@ class Denoiser:
         Cancelled
             ``progress`` returned False.
         """
-        layers = validated(layers, frame)
+        given = {
+            name: Layer(radiance=layer, irradiance=name in irradiance)
+            for name, layer in validated(layers, frame).items()
+        }
         with self._turn(progress) as engine:
-            image, filtered, state = self._frame(frame, layers, irradiance, engine)
+            image, filtered, state = self._frame(frame, given, engine)
             self._remember(state)
         return image, filtered
 
@@ -342,8 +345,7 @@ class Denoiser:
     def _frame(
         self,
         frame: Frame,
-        layers: Mapping[str, np.ndarray],
-        irradiance: Collection[str],
+        layers: Mapping[str, Layer],
         engine: Engine,
     ) -> tuple[np.ndarray, dict[str, np.ndarray], State]:
         """The picture, layers by name, and what is to be remembered."""
@@ -359,7 +361,7 @@ class Denoiser:
         if step.filter_layer is not None:
             with timed(self.last_timings, "layers"):
                 for name, layer in layers.items():
-                    images[name] = step.filter_layer(name, layer, irradiance=name in irradiance)
+                    images[name] = step.filter_layer(name, layer)
         return step.image, images, step.finish()
 
     def _plan(self, frame: Frame, layers: Collection[str], context: Context) -> Plan:
@@ -394,8 +396,8 @@ class Denoiser:
 _HOW = {"color_b": ": render the same frame again with another seed (--color-b)"}
 
 
-def _grey(alpha: np.ndarray | None, strips: Strips) -> np.ndarray:
-    """Alpha as a layer of light."""
+def _grey(alpha: np.ndarray | None, strips: Strips) -> Layer:
+    """Alpha as a layer."""
     assert alpha is not None
     given, layer = alpha, np.empty((*alpha.shape, 3), np.float32)
 
@@ -403,7 +405,7 @@ def _grey(alpha: np.ndarray | None, strips: Strips) -> np.ndarray:
         layer[rows] = np.nan_to_num(given[rows])[..., None]
 
     strips.run(work, *layer.shape[:2])
-    return layer
+    return Layer(radiance=layer, irradiance=True, shaded=False)
 
 
 def _checked_threads(threads: int | None) -> int:

@@ -169,6 +169,12 @@ def _each_pixel(family: TemporalKernels, frame: Frame) -> dict[str, tuple[float,
         "encode": (3 * (4 + EXP) + 4 + 2, 4 + 1 + albedo + surfaces + features),
         "reconstruct": (operations, planes),
         "remodulate": (3, 3),
+        # three window sums, what pixels count, two luminances and what was taken; fifteen products
+        # and their sums; three slopes between blocks, the gain of three channels
+        "relief": (
+            3 * (WINDOW_SUM + 2) + (9 + EXP) + (WINDOW_SUM + 5) + 2 * 5 + 4 + 15 * 2 + 3 * 7 + 4,
+            3 + albedo + surfaces + 1 + 3,
+        ),
         "keep_output": (0, 3 + 4),
     }
 

@@ -47,7 +47,8 @@ def _between(drawn: Random, low: float, high: float) -> float:
 
 def _height(made: Material, drawn: Random, size: float) -> Any:
     """A height in [0, 1] over the surface, with bumps of ``size`` metres: an output."""
-    at = made.coordinates(rotation=tuple(drawn.uniform(0, 3) for _ in range(3)))
+    turned = (drawn.uniform(0, 3), drawn.uniform(0, 3), drawn.uniform(0, 3))
+    at = made.coordinates(rotation=turned)
     kind = drawn.choice(_KINDS)
     if kind in ("cells", "dents"):
         cells = made.node("TexVoronoi", Vector=at, Scale=1 / size)

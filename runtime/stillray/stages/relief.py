@@ -1,0 +1,252 @@
+"""Relief that was filtered away, found again in what the filter took from a frame.
+
+What a filter takes away is noise, and what it should have kept. Noise knows nothing of normals,
+relief does: around a pixel what was taken is explained by a line through the fine part of the
+normals, and what the line says is put back. So plaster, mouldings and carving are shaded again
+where few samples hid that, at no invention of a network's.
+
+Lines fitted to features in a window are those of Bitterli et al. 2016, section 3; smoothing what a
+smoother left is twicing (Tukey 1977, section 16). A slope is as large as the noise around allows:
+Bayes' estimate with a prior of no slope, less what noise alone would explain.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from stillray.arrays.strips import STRIP_PIXELS, Strips, planes_of, with_halo
+from stillray.arrays.workspace import Workspace
+from stillray.stages.features import luminance
+from stillray.stages.state import Prepared
+
+BLOCK = 8  # pixels: sums are taken of blocks, and slopes found for those
+FINE = 5  # pixels, odd: from their mean over so many normals differ by their fine part
+#: How far a normal may be from those around to count 1/e: what is bent more is an edge between
+#: surfaces, of which each has its own light.
+BENT = 0.9
+#: And the depth, relative, from that of 3x3 pixels.
+APART = 0.02
+#: Relative to the picture: what may have been taken from a pixel at most. Bounds fireflies.
+MOST_TAKEN = 1.0
+DARKEST = 0.01  # exposed radiance that is added where relative means relative to it
+PRIOR = 1.0  # standard deviation of slopes
+RIDGE = 4e-4  # mean square of a normal's fine part at which a slope is half
+#: Of what noise alone would explain, this share is taken off.
+DOUBT = 0.5
+LEAST_GAIN, MOST_GAIN = 0.4, 2.0
+LEAST_WEIGHT = 1e-6  # of a window, in pixels of one: where nothing was hit there is nothing to fit
+LEAST_EXPLAINED = 1e-12  # variance
+_FITTED = 2048  # blocks whose lines are fitted at once: small, as they take many arrays
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+# Weight, it with what was taken and with its square, with normals, with both, with pairs of normals
+_SUMS = 3 + 3 + 3 + len(_PAIRS)
+
+
+def shade(
+    image: np.ndarray, prepared: Prepared, window: float, strips: Strips, workspace: Workspace
+) -> np.ndarray:
+    """Put a picture's relief back.
+
+    Parameters
+    ----------
+    image : (h, w, 3) float32
+        Radiance that was filtered, finite and >= 0; multiplied by the gain.
+    prepared
+        The frame it was made of, with normals.
+    window
+        Standard deviation of the window in which lines are fitted, pixels, > 0.
+    strips
+        Where the work runs.
+    workspace
+        Where arrays lie from frame to frame.
+
+    Returns
+    -------
+    (h, w) float32
+        The gain, in [`LEAST_GAIN`, `MOST_GAIN`]; 1 where normals are even or explain nothing. It
+        lies in the workspace.
+    """
+    height, width = image.shape[:2]
+    rows, columns = -(-height // BLOCK), -(-width // BLOCK)
+    sums = workspace.array("sums of relief", (_SUMS, rows, columns))
+    fine = workspace.array("fine normals", (3, height, width))
+
+    def add_up(blocks: slice) -> None:
+        _add_up(image, prepared, blocks, fine, sums[:, blocks], strips.workspace)
+
+    strips.run(add_up, rows, columns, pixels=STRIP_PIXELS // BLOCK**2)
+    slopes = _slopes(sums, window, strips, workspace)
+    size = (columns * BLOCK, rows * BLOCK)
+    found = workspace.array("slopes of relief", (3, size[1], size[0]))
+
+    def enlarge(planes: slice) -> None:
+        for small, large in zip(slopes[planes], found[planes], strict=True):
+            cv2.resize(small, size, dst=large, interpolation=cv2.INTER_LINEAR)
+
+    strips.run(enlarge, 3, size[0] * size[1])
+    gain = workspace.array("gain of relief", (height, width))
+
+    def tell(some: slice) -> None:
+        total = gain[some]
+        np.multiply(found[0, some, :width], fine[0, some], out=total)
+        for slope, normal in zip(found[1:, some, :width], fine[1:, some], strict=True):
+            cv2.accumulateProduct(np.ascontiguousarray(slope), normal, total)
+        total += 1
+        np.clip(total, LEAST_GAIN, MOST_GAIN, out=total)
+        multiply(image[some], total, strips.workspace)
+
+    strips.run(tell, height, width)
+    return gain
+
+
+def multiply(image: np.ndarray, gain: np.ndarray, workspace: Workspace) -> None:
+    """Multiply an ``(h, w, 3)`` image by a gain ``(h, w)``."""
+    of_colors = workspace.array("gain of colors", image.shape)
+    image *= cv2.cvtColor(gain, cv2.COLOR_GRAY2RGB, dst=of_colors)
+
+
+def _add_up(
+    image: np.ndarray,
+    prepared: Prepared,
+    blocks: slice,
+    fine: np.ndarray,
+    sums: np.ndarray,
+    workspace: Workspace,
+) -> None:
+    """Means over rows of blocks into ``(15, rows, columns)``, and their weighed fine normals."""
+    rows = slice(BLOCK * blocks.start, min(BLOCK * blocks.stop, len(image)))
+    assert prepared.normal is not None
+    detail = _fine_normals(prepared.normal, rows, workspace)
+    weight = _weight(detail, prepared.depth, rows, workspace)
+    taken = _taken(image, prepared, rows, workspace)
+    weighed = fine[:, rows]
+    np.multiply(detail, weight, out=weighed)
+    shape = (BLOCK * sums.shape[1], BLOCK * sums.shape[2])
+    inside, places = workspace.array("product", weight.shape), iter(sums)
+
+    def mean(plane: np.ndarray) -> None:
+        if plane.shape != shape:  # beyond the frame nothing weighs anything
+            bottom, right = (size - own for size, own in zip(shape, plane.shape, strict=True))
+            plane = cv2.copyMakeBorder(plane, 0, bottom, 0, right, cv2.BORDER_CONSTANT, value=0)
+        target = next(places)
+        cv2.resize(plane, target.shape[::-1], dst=target, interpolation=cv2.INTER_AREA)
+
+    mean(weight)
+    mean(np.multiply(weight, taken, out=inside))
+    mean(np.multiply(inside, taken, out=inside))
+    for plane in weighed:
+        mean(plane)
+    for plane in weighed:
+        mean(np.multiply(plane, taken, out=inside))
+    for first, second in _PAIRS:
+        mean(np.multiply(weighed[first], detail[second], out=inside))
+
+
+def _fine_normals(normal: np.ndarray, rows: slice, workspace: Workspace) -> np.ndarray:
+    """Rows of normals less their mean over `FINE` pixels, ``(3, rows, w)``."""
+    near, inside = with_halo(rows, FINE // 2, len(normal))
+    shape = (3, near.stop - near.start, normal.shape[1])
+    planes = planes_of(normal[near], out=workspace.array("normals", shape))
+    kernel, around = np.full(FINE, 1 / FINE, np.float32), workspace.array("around", shape[1:])
+    for plane in planes:
+        # each window is added anew, so that a strip of rows gives what the whole frame gives
+        cv2.sepFilter2D(plane, -1, kernel, kernel, dst=around, borderType=cv2.BORDER_REPLICATE)
+        plane -= around
+    return planes[:, inside]
+
+
+def _weight(
+    detail: np.ndarray, depth: np.ndarray | None, rows: slice, workspace: Workspace
+) -> np.ndarray:
+    """How far rows of pixels lie on a surface that goes on, [0, 1]; 0 where none was hit."""
+    weight = workspace.array("weight", detail.shape[1:])
+    square = workspace.array("square", weight.shape)
+    np.multiply(detail[0], detail[0], out=weight)
+    for plane in detail[1:]:
+        weight += np.multiply(plane, plane, out=square)
+    weight *= np.float32(-1 / BENT**2)
+    if depth is None:
+        return cv2.exp(weight, dst=weight)
+    near, inside = with_halo(rows, 1, len(depth))
+    kernel = np.full(3, 1 / 3, np.float32)
+    # the inverse is linear on planes; of what was not hit it is 0
+    inverse = workspace.array("inverse", (near.stop - near.start, depth.shape[1]))
+    hit = depth[near] > 0
+    inverse.fill(0)
+    np.divide(1, depth[near], out=inverse, where=hit)
+    around = workspace.array("around", inverse.shape)
+    cv2.sepFilter2D(inverse, -1, kernel, kernel, dst=around, borderType=cv2.BORDER_REPLICATE)
+    around *= depth[near]
+    around -= 1
+    around *= around
+    around *= np.float32(1 / APART**2)
+    weight -= around[inside]
+    cv2.exp(weight, dst=weight)
+    weight *= hit[inside]
+    return weight
+
+
+def _taken(image: np.ndarray, prepared: Prepared, rows: slice, workspace: Workspace) -> np.ndarray:
+    """What was taken from rows of pixels, relative to what is left, bounded."""
+    shape = (rows.stop - rows.start, image.shape[1])
+    left = luminance(image[rows], out=workspace.array("left", shape))
+    taken = workspace.array("taken", shape)
+    if prepared.remodulation_albedo is None:
+        np.copyto(taken, prepared.luminance[rows])
+    else:
+        luminance(prepared.remodulation_albedo[rows], out=taken)
+        taken *= prepared.luminance[rows]
+    taken -= left
+    left += np.float32(DARKEST / prepared.history.exposure)
+    taken /= left
+    return np.clip(taken, -MOST_TAKEN, MOST_TAKEN, out=taken)
+
+
+def _slopes(sums: np.ndarray, window: float, strips: Strips, workspace: Workspace) -> np.ndarray:
+    """Slopes of what was taken along normals, ``(3, rows, columns)``."""
+    _, rows, columns = sums.shape
+    sigma = window / BLOCK
+    kernel = cv2.getGaussianKernel(2 * int(np.ceil(3 * sigma)) + 1, sigma)
+    wide = workspace.array("wide sums of relief", sums.shape, np.float64)
+    slopes = workspace.array("slopes of blocks", (3, rows, columns))
+
+    def widen(planes: slice) -> None:
+        for plane, target in zip(sums[planes], wide[planes], strict=True):
+            border = cv2.BORDER_CONSTANT  # beyond the frame is nothing
+            cv2.sepFilter2D(plane, cv2.CV_64F, kernel, kernel, dst=target, borderType=border)
+
+    def fit(some: slice) -> None:
+        slopes[:, some] = _fitted(wide[:, some], window)
+
+    strips.run(widen, _SUMS, rows * columns)
+    strips.run(fit, rows, columns, pixels=_FITTED)
+    return slopes
+
+
+def _fitted(sums: np.ndarray, window: float) -> np.ndarray:
+    """Slopes of lines fitted to sums over windows, ``(15, rows, columns)`` float64; changed."""
+    weight = sums[0] + LEAST_WEIGHT
+    sums[1:] /= weight
+    taken, square, *others = sums[1:]
+    means, products, squares = others[:3], others[3:6], others[6:]
+    noise = np.maximum(square - taken**2, 0)
+    pixels = 4 * np.pi * window**2 * weight
+    ridge = noise / (pixels * PRIOR**2) + RIDGE
+    a, b, c, d, e, f = (
+        both - means[i] * means[j] + (ridge if i == j else 0)
+        for both, (i, j) in zip(squares, _PAIRS, strict=True)
+    )
+    products = [both - mean * taken for both, mean in zip(products, means, strict=True)]
+    # Cramer's rule: of a symmetric matrix, whose eigenvalues are the ridge or more
+    minors = (d * f - e * e, c * e - b * f, b * e - c * d)
+    whole = a * minors[0] + b * minors[1] + c * minors[2]
+    last = b * c - a * e
+    inverse = (minors, (minors[1], a * f - c * c, last), (minors[2], last, a * d - b * b))
+    slopes = np.stack(
+        [sum(m * p for m, p in zip(row, products, strict=True)) / whole for row in inverse]
+    )
+    explained = sum(slope * p for slope, p in zip(slopes, products, strict=True))
+    share = 1 - DOUBT * 3 * noise / pixels / (explained + LEAST_EXPLAINED)
+    slopes *= np.clip(share, 0, 1)
+    return slopes
