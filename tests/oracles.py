@@ -547,4 +547,16 @@ def _slope(fine, weight, taken, block, window: float) -> np.ndarray:
     ridge = noise / (count * stage.PRIOR**2) + stage.RIDGE
     found = np.linalg.solve(squares + ridge * np.eye(3), products)
     explained = found @ products + stage.LEAST_EXPLAINED
-    return found * np.clip(1 - stage.DOUBT * 3 * noise / count / explained, 0, 1)
+    alike = 0.0
+    whole = weight[..., None] * fine
+    for y, x in np.ndindex(height, width):
+        near_by = [(y, x + 1)] + ([(y + 1, x)] if y % size != size - 1 else [])
+        for other in near_by:
+            if other[0] < height and other[1] < width:
+                far = near[0][y] * near[1][x] / size**2 / total
+                alike += far * (whole[y, x] @ whole[other])
+    trace = (share[..., None] * fine**2).sum() + stage.LEAST_EXPLAINED
+    least, most = stage.RESOLVED
+    resolved = (alike / (2 - 1 / size) / trace - least) / (most - least)
+    by_chance = stage.DOUBT * 3 * noise / count / explained
+    return found * np.clip(1 - by_chance, 0, 1) * np.clip(resolved, 0, 1)

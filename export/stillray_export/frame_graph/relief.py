@@ -41,8 +41,13 @@ def relief_gain(
     taken = taken.clamp(-stage.MOST_TAKEN, stage.MOST_TAKEN)
     weighed = fine * weight
     pairs = [weighed[:, i : i + 1] * fine[:, j : j + 1] for i, j in _PAIRS]
-    planes = [weight, weight * taken, weight * taken * taken, weighed, weighed * taken, *pairs]
     block = stage.BLOCK
+    beside = (weighed[..., :-1] * weighed[..., 1:]).sum(1, keepdim=True)
+    below = (weighed[..., :-1, :] * weighed[..., 1:, :]).sum(1, keepdim=True)
+    last = (torch.arange(height - 1) % block == block - 1)[:, None]
+    alike = F.pad(beside, [0, 1]) + F.pad(torch.where(last, 0, below), [0, 0, 0, 1])
+    planes = [weight, weight * taken, weight * taken * taken, weighed, weighed * taken, *pairs]
+    planes.append(alike)
     padded = F.pad(torch.cat(planes, 1), [0, -width % block, 0, -height % block])
     slopes = _slopes(F.avg_pool2d(padded, block), window)
     slopes = F.interpolate(slopes, scale_factor=float(block), mode="bilinear")
@@ -75,7 +80,8 @@ def _slopes(sums: Tensor, window: float) -> Tensor:
     weight, *means = planes.transpose(0, 1).split(1, 1)
     weight = weight + stage.LEAST_WEIGHT
     taken, square, *others = (mean / weight for mean in means)
-    normals, both, squares = others[:3], others[3:6], others[6:]
+    normals, both, squares, alike = others[:3], others[3:6], others[6:12], others[12]
+    alike = alike / (squares[0] + squares[3] + squares[5] + stage.LEAST_EXPLAINED)
     noise = (square - taken.square()).clamp(min=0)
     pixels = 4 * math.pi * window**2 * weight
     ridge = noise / (pixels * stage.PRIOR**2) + stage.RIDGE
@@ -92,4 +98,6 @@ def _slopes(sums: Tensor, window: float) -> Tensor:
     explained = slopes[0] * p[0] + slopes[1] * p[1] + slopes[2] * p[2]
     by_chance = 3 * noise / pixels
     share = 1 - stage.DOUBT * by_chance / (explained + stage.LEAST_EXPLAINED)
-    return torch.cat(slopes, 1) * share.clamp(0, 1)
+    least, most = stage.RESOLVED
+    resolved = (alike / stage.NEIGHBOURS - least) / (most - least)
+    return torch.cat(slopes, 1) * share.clamp(0, 1) * resolved.clamp(0, 1)

@@ -34,13 +34,19 @@ PRIOR = 1.0  # standard deviation of slopes
 RIDGE = 4e-4  # mean square of a normal's fine part at which a slope is half
 #: Of what noise alone would explain, this share is taken off.
 DOUBT = 0.5
+#: How alike fine normals of neighbours are, from where nothing is put back to where all is: relief
+#: finer than pixels is noise in normals, which the light of the same samples shares.
+RESOLVED = (0.1, 0.5)
 LEAST_GAIN, MOST_GAIN = 0.4, 2.0
 LEAST_WEIGHT = 1e-6  # of a window, in pixels of one: where nothing was hit there is nothing to fit
 LEAST_EXPLAINED = 1e-12  # variance
 _FITTED = 2048  # blocks whose lines are fitted at once: small, as they take many arrays
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-# Weight, it with what was taken and with its square, with normals, with both, with pairs of normals
-_SUMS = 3 + 3 + 3 + len(_PAIRS)
+# Weight, it with what was taken and with its square, with normals, with both, with pairs of
+# normals; normals with those beside and below
+_SUMS = 3 + 3 + 3 + len(_PAIRS) + 1
+#: Pairs of neighbours, of a pixel of a block: its last row has none below.
+NEIGHBOURS = 2 - 1 / BLOCK
 
 
 def shade(
@@ -114,7 +120,7 @@ def _add_up(
     sums: np.ndarray,
     workspace: Workspace,
 ) -> None:
-    """Means over rows of blocks into ``(15, rows, columns)``, and their weighed fine normals."""
+    """Means over rows of blocks into ``(16, rows, columns)``, and their weighed fine normals."""
     rows = slice(BLOCK * blocks.start, min(BLOCK * blocks.stop, len(image)))
     assert prepared.normal is not None
     detail = _fine_normals(prepared.normal, rows, workspace)
@@ -141,6 +147,20 @@ def _add_up(
         mean(np.multiply(plane, taken, out=inside))
     for first, second in _PAIRS:
         mean(np.multiply(weighed[first], detail[second], out=inside))
+    mean(_with_neighbours(weighed, inside, workspace))
+
+
+def _with_neighbours(weighed: np.ndarray, out: np.ndarray, workspace: Workspace) -> np.ndarray:
+    """Products of fine normals ``(3, h, w)`` with those to the right, and below in their block."""
+    below = workspace.array("below", out.shape)
+    out.fill(0)
+    below.fill(0)
+    for plane in weighed:
+        cv2.accumulateProduct(plane[:, :-1], plane[:, 1:], out[:, :-1])
+        cv2.accumulateProduct(plane[:-1], plane[1:], below[:-1])
+    below[BLOCK - 1 :: BLOCK] = 0  # of rows that another strip may have
+    out += below
+    return out
 
 
 def _fine_normals(normal: np.ndarray, rows: slice, workspace: Workspace) -> np.ndarray:
@@ -225,11 +245,12 @@ def _slopes(sums: np.ndarray, window: float, strips: Strips, workspace: Workspac
 
 
 def _fitted(sums: np.ndarray, window: float) -> np.ndarray:
-    """Slopes of lines fitted to sums over windows, ``(15, rows, columns)`` float64; changed."""
+    """Slopes of lines fitted to sums over windows, ``(16, rows, columns)`` float64; changed."""
     weight = sums[0] + LEAST_WEIGHT
     sums[1:] /= weight
-    taken, square, *others = sums[1:]
+    taken, square, *others, alike = sums[1:]
     means, products, squares = others[:3], others[3:6], others[6:]
+    alike /= NEIGHBOURS * (squares[0] + squares[3] + squares[5] + LEAST_EXPLAINED)
     noise = np.maximum(square - taken**2, 0)
     pixels = 4 * np.pi * window**2 * weight
     ridge = noise / (pixels * PRIOR**2) + RIDGE
@@ -249,4 +270,6 @@ def _fitted(sums: np.ndarray, window: float) -> np.ndarray:
     explained = sum(slope * p for slope, p in zip(slopes, products, strict=True))
     share = 1 - DOUBT * 3 * noise / pixels / (explained + LEAST_EXPLAINED)
     slopes *= np.clip(share, 0, 1)
+    least, most = RESOLVED
+    slopes *= np.clip((alike - least) / (most - least), 0, 1)
     return slopes
