@@ -36,7 +36,7 @@ RIDGE = 4e-4  # mean square of a normal's fine part at which a slope is half
 DOUBT = 0.5
 #: How alike fine normals of neighbours are, from where nothing is put back to where all is: relief
 #: finer than pixels is noise in normals, which the light of the same samples shares.
-RESOLVED = (0.1, 0.5)
+RESOLVED = (0.05, 0.35)
 LEAST_GAIN, MOST_GAIN = 0.4, 2.0
 LEAST_WEIGHT = 1e-6  # of a window, in pixels of one: where nothing was hit there is nothing to fit
 LEAST_EXPLAINED = 1e-12  # variance
