@@ -11,6 +11,7 @@ from stillray.models.registry import find_model  # noqa: E402
 from stillray.pipeline.denoiser import Denoiser  # noqa: E402
 from stillray.profiling.cost import Cost, network_cost, stage_costs  # noqa: E402
 from stillray.profiling.machine import PeakRates  # noqa: E402
+from stillray.profiling.measure import ORDER  # noqa: E402
 from stillray.profiling.scaling import with_kernels  # noqa: E402
 from stillray.profiling.synthetic import swing  # noqa: E402
 
@@ -81,6 +82,14 @@ def test_every_stage_that_runs_has_work_and_less_buffers_are_less_of_it(model):
     bare = stage_costs(info, Frame(color=full.color))
     assert bare["inspect"].bytes == 3 * 4 * 16 * 24
     assert bare["encode"].bytes < stage_costs(info, full)["encode"].bytes
+
+
+@pytest.mark.parametrize("model", ["kpyr-5", "kpyr-5-still", "nbg-2x3", "wskp-3", "munet-x2"])
+def test_no_stage_is_left_out_of_the_table(model):
+    with Denoiser(model, threads=1) as denoiser:
+        for frame in swing(24, 32)[:2]:
+            denoiser.denoise(frame)
+            assert set(denoiser.last_timings) <= set(ORDER)
 
 
 def test_reconstruction_counts_kernels_and_not_their_sizes():
