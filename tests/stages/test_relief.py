@@ -115,13 +115,16 @@ def test_the_gain_does_not_depend_on_brightness(brightness, rng):
     np.testing.assert_allclose(gain, expected, rtol=1e-3)
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("broken", ["black", "bright", "no normals", "nothing hit"])
 def test_degenerate_frames_stay_finite(broken, rng):
     image, prepared, _ = frame(40, 50, rng)
     if broken == "black":
         image[:], prepared.luminance[:] = 0, 0
     elif broken == "bright":
-        prepared.luminance[::7] = 3e38
+        prepared.luminance[::7] = 3.4e38
+        prepared.remodulation_albedo[:] = 1.15
+        prepared.depth[::5] = 1e-30
     elif broken == "no normals":
         prepared.normal[:] = 0
     else:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from stillray.arrays.bounds import at_most
 from stillray.arrays.strips import STRIP_PIXELS, Strips, planes_of, with_halo
 from stillray.arrays.workspace import Workspace
 from stillray.stages.features import luminance
@@ -40,6 +41,7 @@ RESOLVED = (0.05, 0.35)
 LEAST_GAIN, MOST_GAIN = 0.4, 2.0
 LEAST_WEIGHT = 1e-6  # of a window, in pixels of one: where nothing was hit there is nothing to fit
 LEAST_EXPLAINED = 1e-12  # variance
+_BRIGHTEST = 1e37  # of which nothing that follows makes infinity
 _FITTED = 2048  # blocks whose lines are fitted at once: small, as they take many arrays
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 # Weight, it with what was taken and with its square, with normals, with both, with pairs of
@@ -199,6 +201,7 @@ def _weight(
     cv2.sepFilter2D(inverse, -1, kernel, kernel, dst=around, borderType=cv2.BORDER_REPLICATE)
     around *= depth[near]
     around -= 1
+    np.clip(around, -1, 1, out=around)  # far beyond what counts, and its square has no bounds
     around *= around
     around *= np.float32(1 / APART**2)
     weight -= around[inside]
@@ -216,7 +219,9 @@ def _taken(image: np.ndarray, prepared: Prepared, rows: slice, workspace: Worksp
         np.copyto(taken, prepared.luminance[rows])
     else:
         luminance(prepared.remodulation_albedo[rows], out=taken)
-        taken *= prepared.luminance[rows]
+        with np.errstate(over="ignore"):
+            taken *= prepared.luminance[rows]
+        at_most(taken, _BRIGHTEST, out=taken)
     taken -= left
     left += np.float32(DARKEST / prepared.history.exposure)
     taken /= left
