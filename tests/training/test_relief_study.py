@@ -33,11 +33,11 @@ def bumps(tmp_path, rng):
 
 
 def test_bumps_that_noise_hid_are_gained_by_the_count_of_samples(bumps, capsys):
-    ((count, (gained,)),) = relief_study.gains("kpyr-5-still", [bumps / "wall"]).items()
+    ((count, (gained,)),) = relief_study.gains("kpyr-5s", [bumps / "wall"]).items()
     assert count == 4
-    assert gained["psnr"] > 0.02
+    assert gained["psnr"] > 0.5
     assert gained["ssim"] > 0
-    relief_study.main([bumps], model="kpyr-5-still", most=1)
+    relief_study.main([bumps], model="kpyr-5s", most=1)
     shown = capsys.readouterr().out
     assert f"{gained['psnr']:+.3f}" in shown
 
