@@ -181,7 +181,7 @@ def main(
         table.add_column(title)
     for method, values in found.items():
         table.add_row(method, *(format(values[metric.name], metric.format) for metric in shown))
-    Console().print(table)
+    Console(width=120).print(table)
 
 
 if __name__ == "__main__":

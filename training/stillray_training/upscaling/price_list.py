@@ -235,7 +235,7 @@ def main(
             ways = ways_of(stack, traced, (model, flagship), quick)
             costs = [renders[kind] for kind, _ in ways]
             found.append(prices([way for _, way in ways], costs, references[-_PICTURES:]))
-    Console().print(table(found))
+    Console(width=120).print(table(found))
 
 
 def table(found: Sequence[dict[str, Price]]) -> Table:

@@ -111,7 +111,7 @@ def main(
         means = (f"{np.mean(values[first:last]):.2f}" for values in found)
         table.add_row(f"{first + 1} to {last}", *means)
         first = last
-    Console().print(table)
+    Console(width=120).print(table)
 
 
 if __name__ == "__main__":
