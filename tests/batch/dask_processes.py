@@ -11,6 +11,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+_SETTINGS = {
+    "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "60s",
+    # Looking at all threads while one starts can lock CPython 3.11.7 for good: its list of threads
+    # is held while garbage is collected (gh-106883). A test waited for such a worker.
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+}
+
 
 @contextmanager
 def dask_processes(folder: Path, workers: int) -> Iterator[tuple[str, list[subprocess.Popen]]]:
@@ -22,7 +29,7 @@ def dask_processes(folder: Path, workers: int) -> Iterator[tuple[str, list[subpr
             [sys.executable, "-m", "distributed.cli." + args[0], *args[1:], "--no-dashboard"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            env={**os.environ, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "60s"},
+            env={**os.environ, **_SETTINGS},
         )
         processes.append(process)
         return process
