@@ -58,31 +58,31 @@ def test_scenes_of_all_kinds_are_built(tmp_path):
     assert kinds == {"cycles_room", "cycles_panelled", "cycles_table", "cycles_outdoors"}
 
 
+def scenes(folder, option, values, *, size, reference):
+    """The same scene with each value of an option: the folders of its files."""
+    for value in values:
+        options = ["--first-seed", str(MOVING), "--count", "1", option, value]
+        done = render(folder / value, *options, "--size", size, "--reference", reference)
+        assert done.returncode == 0, done.stderr
+        yield folder / value / f"{MOVING:05d}"
+
+
 def test_cameras_move_further_in_the_same_scene(tmp_path):
     """Frame 4 of 8 is where all motions pass; frames before and after are further apart."""
-    shown = {}
-    for motion in ("1", "6"):
-        options = ["--first-seed", str(MOVING), "--count", "1", "--size", "16", "--reference", "1"]
-        done = render(tmp_path / motion, *options, "--motion", motion)
-        assert done.returncode == 0, done.stderr
-        frames = sorted((tmp_path / motion / f"{MOVING:05d}").glob("frame_*.exr"))
-        shown[motion] = [read_exr(path) for path in frames]
-    usual, further = shown["1"], shown["6"]
+    usual, further = (
+        [read_exr(path) for path in sorted(scene.glob("frame_*.exr"))]
+        for scene in scenes(tmp_path, "--motion", ("1", "6"), size="16", reference="1")
+    )
     assert np.array_equal(usual[4].depth, further[4].depth)
     paths = [np.abs(frames[5].motion).mean() for frames in (usual, further)]
     assert paths[1] > 1.2 * paths[0] > 0.1
 
 
 def test_relief_shows_in_normals_of_the_same_scene(tmp_path):
-    shown = {}
-    for relief in ("0", "1"):
-        options = ["--first-seed", str(MOVING), "--count", "1", "--size", "32", "--reference", "4"]
-        done = render(tmp_path / relief, *options, "--relief", relief)
-        assert done.returncode == 0, done.stderr
-        scene = tmp_path / relief / f"{MOVING:05d}"
-        assert json.loads((scene / "rendered.json").read_text())["relief"] == (relief == "1")
-        shown[relief] = read_exr(scene / "ref_0007.exr")
-    plain, embossed = shown["0"], shown["1"]
+    both = list(scenes(tmp_path, "--relief", ("0", "1"), size="32", reference="4"))
+    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
+    assert [record["relief"] for record in records] == [False, True]
+    plain, embossed = (read_exr(scene / "ref_0007.exr") for scene in both)
     # edges aside, whose pixels hold what few samples met
     assert np.isclose(plain.depth, embossed.depth, rtol=0.01).mean() > 0.9
     steps = [np.abs(np.diff(each.normal, axis=1)).mean() for each in (plain, embossed)]

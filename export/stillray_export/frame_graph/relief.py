@@ -12,8 +12,6 @@ from stillray.stages import relief as stage
 from stillray_export.frame_graph.windows import repeated
 from stillray_training.decoders.luminance import luminance
 
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-
 
 def relief_gain(
     image: Tensor, radiance: Tensor, normal: Tensor, depth: Tensor, window: float, dark: Tensor
@@ -40,7 +38,7 @@ def relief_gain(
     taken = (radiance - left) / (left + dark)
     taken = taken.clamp(-stage.MOST_TAKEN, stage.MOST_TAKEN)
     weighed = fine * weight
-    pairs = [weighed[:, i : i + 1] * fine[:, j : j + 1] for i, j in _PAIRS]
+    pairs = [weighed[:, i : i + 1] * fine[:, j : j + 1] for i, j in stage.PAIRS]
     block = stage.BLOCK
     beside = (weighed[..., :-1] * weighed[..., 1:]).sum(1, keepdim=True)
     below = (weighed[..., :-1, :] * weighed[..., 1:, :]).sum(1, keepdim=True)
@@ -85,17 +83,13 @@ def _slopes(sums: Tensor, window: float) -> Tensor:
     noise = (square - taken.square()).clamp(min=0)
     pixels = 4 * math.pi * window**2 * weight
     ridge = noise / (pixels * stage.PRIOR**2) + stage.RIDGE
-    a, b, c, d, e, f = (
+    matrix = [
         square - normals[i] * normals[j] + (ridge if i == j else 0)
-        for square, (i, j) in zip(squares, _PAIRS, strict=True)
-    )
-    p = [found - normal * taken for found, normal in zip(both, normals, strict=True)]
-    minors = (d * f - e * e, c * e - b * f, b * e - c * d)
-    whole = a * minors[0] + b * minors[1] + c * minors[2]
-    last = b * c - a * e
-    rows = (minors, (minors[1], a * f - c * c, last), (minors[2], last, a * d - b * b))
-    slopes = [(x * p[0] + y * p[1] + z * p[2]) / whole for x, y, z in rows]
-    explained = slopes[0] * p[0] + slopes[1] * p[1] + slopes[2] * p[2]
+        for square, (i, j) in zip(squares, stage.PAIRS, strict=True)
+    ]
+    products = [found - normal * taken for found, normal in zip(both, normals, strict=True)]
+    slopes = stage.solved(matrix, products)
+    explained = sum(slope * product for slope, product in zip(slopes, products, strict=True))
     by_chance = 3 * noise / pixels
     share = 1 - stage.DOUBT * by_chance / (explained + stage.LEAST_EXPLAINED)
     least, most = stage.RESOLVED

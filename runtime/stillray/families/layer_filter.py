@@ -67,6 +67,8 @@ class FilteredLayers:
         The frame as it was planned, and prepared with its ``sample``.
     outputs
         Of the network, for each view of the frame whose pictures were averaged.
+    gain : (h, w) float32 or None
+        What the picture was multiplied by, see `stillray.stages.relief`; None where it was not.
     context
         Where the work runs.
     """
@@ -77,10 +79,11 @@ class FilteredLayers:
         plan: TemporalPlan,
         prepared: Prepared,
         outputs: Sequence[Sequence[np.ndarray]],
+        gain: np.ndarray | None,
         context: Context,
     ) -> None:
         self._kernels, self._plan, self._prepared = kernels, plan, prepared
-        self._outputs, self._strips = outputs, context.strips
+        self._outputs, self._gain, self._strips = outputs, gain, context.strips
         #: By name, what the next frame needs.
         self.pasts: dict[str, LayerPast] = {}
 
@@ -105,8 +108,8 @@ class FilteredLayers:
         image = mean_picture(
             self._kernels.reconstruct(own, outputs, self._strips, {}) for outputs in self._frozen
         )
-        if prepared.gain is not None and layer.shaded:
-            gain, strips = prepared.gain, self._strips
+        if self._gain is not None and layer.shaded:
+            gain, strips = self._gain, self._strips
 
             def shade(rows: slice) -> None:
                 multiply(image[rows], gain[rows], strips.workspace)

@@ -207,7 +207,7 @@ class TemporalKernels(ABC):
                 gain = relief.shade(image, prepared, window, strips, context.workspace)
         layers: FilteredLayers | None = None
         if outputs:
-            layers = FilteredLayers(self, early, replace(prepared, gain=gain), outputs, context)
+            layers = FilteredLayers(self, early, prepared, outputs, gain, context)
 
         def finish() -> State:
             return self._remember(plan, prepared, image, layers, context)

@@ -609,8 +609,8 @@ class ModelSpec:
     def to_json(self) -> str:
         """The spec as JSON text, as it is embedded in a model file."""
         data = dataclasses.asdict(self)
-        for name in ("differs", "relief"):  # as before they were known
-            if not getattr(self, name) or getattr(self, name) == Relief():
+        for name, unsaid in (("differs", ()), ("relief", Relief())):  # as before they were known
+            if getattr(self, name) == unsaid:
                 del data[name]
         return json.dumps(data, sort_keys=True)
 

@@ -12,6 +12,9 @@ Bayes' estimate with a prior of no slope, less what noise alone would explain.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import cv2
 import numpy as np
 
@@ -43,10 +46,11 @@ LEAST_WEIGHT = 1e-6  # of a window, in pixels of one: where nothing was hit ther
 LEAST_EXPLAINED = 1e-12  # variance
 _BRIGHTEST = 1e37  # of which nothing that follows makes infinity
 _FITTED = 2048  # blocks whose lines are fitted at once: small, as they take many arrays
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+#: Entries of a symmetric matrix of three rows, in the order of their sums.
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 # Weight, it with what was taken and with its square, with normals, with both, with pairs of
 # normals; normals with those beside and below
-_SUMS = 3 + 3 + 3 + len(_PAIRS) + 1
+_SUMS = 3 + 3 + 3 + len(PAIRS) + 1
 #: Pairs of neighbours, of a pixel of a block: its last row has none below.
 NEIGHBOURS = 2 - 1 / BLOCK
 
@@ -99,7 +103,7 @@ def shade(
         total = gain[some]
         np.multiply(found[0, some, :width], fine[0, some], out=total)
         for slope, normal in zip(found[1:, some, :width], fine[1:, some], strict=True):
-            cv2.accumulateProduct(np.ascontiguousarray(slope), normal, total)
+            cv2.accumulateProduct(slope, normal, total)
         total += 1
         np.clip(total, LEAST_GAIN, MOST_GAIN, out=total)
         multiply(image[some], total, strips.workspace)
@@ -147,7 +151,7 @@ def _add_up(
         mean(plane)
     for plane in weighed:
         mean(np.multiply(plane, taken, out=inside))
-    for first, second in _PAIRS:
+    for first, second in PAIRS:
         mean(np.multiply(weighed[first], detail[second], out=inside))
     mean(_with_neighbours(weighed, inside, workspace))
 
@@ -259,22 +263,35 @@ def _fitted(sums: np.ndarray, window: float) -> np.ndarray:
     noise = np.maximum(square - taken**2, 0)
     pixels = 4 * np.pi * window**2 * weight
     ridge = noise / (pixels * PRIOR**2) + RIDGE
-    a, b, c, d, e, f = (
+    matrix = [
         both - means[i] * means[j] + (ridge if i == j else 0)
-        for both, (i, j) in zip(squares, _PAIRS, strict=True)
-    )
+        for both, (i, j) in zip(squares, PAIRS, strict=True)
+    ]
     products = [both - mean * taken for both, mean in zip(products, means, strict=True)]
-    # Cramer's rule: of a symmetric matrix, whose eigenvalues are the ridge or more
-    minors = (d * f - e * e, c * e - b * f, b * e - c * d)
-    whole = a * minors[0] + b * minors[1] + c * minors[2]
-    last = b * c - a * e
-    inverse = (minors, (minors[1], a * f - c * c, last), (minors[2], last, a * d - b * b))
-    slopes = np.stack(
-        [sum(m * p for m, p in zip(row, products, strict=True)) / whole for row in inverse]
-    )
+    slopes = np.stack(solved(matrix, products))
     explained = sum(slope * p for slope, p in zip(slopes, products, strict=True))
     share = 1 - DOUBT * 3 * noise / pixels / (explained + LEAST_EXPLAINED)
     slopes *= np.clip(share, 0, 1)
     least, most = RESOLVED
     slopes *= np.clip((alike - least) / (most - least), 0, 1)
     return slopes
+
+
+def solved(matrix: Sequence[Any], right: Sequence[Any]) -> list[Any]:
+    """Solutions of three linear equations a block, of arrays or of tensors.
+
+    Parameters
+    ----------
+    matrix
+        Six entries in the order of `PAIRS`, of a matrix whose eigenvalues are the ridge or more.
+    right
+        Three.
+    """
+    a, b, c, d, e, f = matrix
+    x, y, z = right
+    # Cramer's rule
+    minors = (d * f - e * e, c * e - b * f, b * e - c * d)
+    whole = a * minors[0] + b * minors[1] + c * minors[2]
+    last = b * c - a * e
+    inverse = (minors, (minors[1], a * f - c * c, last), (minors[2], last, a * d - b * b))
+    return [(p * x + q * y + r * z) / whole for p, q, r in inverse]

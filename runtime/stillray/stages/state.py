@@ -140,9 +140,6 @@ class Prepared:
         The frame's samples.
     filter_spread
         As in `stillray.Frame`.
-    gain : (h, w) float32 or None
-        What the filtered picture was multiplied by, see `stillray.stages.relief`; None where it
-        was not.
     """
 
     history: History
@@ -162,7 +159,6 @@ class Prepared:
     history_confidence: np.ndarray | None = None
     counts: SampleCounts = SampleCounts()  # noqa: RUF009  a value that nobody can change
     filter_spread: float | None = None
-    gain: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
