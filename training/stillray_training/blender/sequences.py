@@ -20,6 +20,7 @@ from stillray_training.blender.cycles import prepare, render
 from stillray_training.blender.generated import KINDS, build
 from stillray_training.blender.record import RECORD, TAKEN
 from stillray_training.blender.relief import emboss_all
+from stillray_training.blender.slender import scatter
 
 FRAMES = 8
 BLOCKS = (1, 2, 4, 8, 16)  # samples a pixel of the blocks beside the last frame
@@ -27,6 +28,7 @@ _BLOCK_SEED, _REFERENCE_SEED = 100, 1000  # no two files share their noise
 _ROOMS = 0.5  # share of the scenes that are rooms
 _PANELLED = 0.4  # and of those, of rooms full of painted joinery
 _RELIEF = 0.0  # share whose surfaces have one color and relief
+_SLENDER = 0.0  # share with thin things and glasses stood about
 _BACKLIT = 0.0  # and of the others, of rooms that are looked at against their windows
 _MOTION = 1.0  # cameras move up to so many times as far
 _BOX = 0.5  # share with a box filter, as other renderers have
@@ -44,10 +46,11 @@ class Options:
         Width and height, pixels.
     reference
         Most samples a pixel of references.
-    rooms, panelled, backlit, box, relief
+    rooms, panelled, backlit, box, relief, slender
         Shares, [0, 1]: of scenes that are rooms, of rooms full of painted joinery, of other rooms
-        that are looked at against their windows, of scenes rendered with a box filter, and of
-        scenes most of whose surfaces have one color and relief that only normals show.
+        that are looked at against their windows, of scenes rendered with a box filter, of scenes
+        most of whose surfaces have one color and relief that only normals show, and of scenes with
+        thin things and glasses stood about.
     motion
         Cameras move 1 to this many times as far as usual, 1 or more.
     assets
@@ -66,6 +69,7 @@ class Options:
     backlit: float = _BACKLIT
     box: float = _BOX
     relief: float = _RELIEF
+    slender: float = _SLENDER
     motion: float = _MOTION
     assets: Path | None = None
 
@@ -73,7 +77,7 @@ class Options:
         for name in ("size", "reference"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
-        for name in ("rooms", "panelled", "backlit", "box", "relief"):
+        for name in ("rooms", "panelled", "backlit", "box", "relief", "slender"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be 0 to 1, got {getattr(self, name)}")
         if not 1 <= self.motion <= 100:
@@ -124,6 +128,10 @@ def render_scene(folder: Path, seed: int, options: Options) -> None:
     relief = embossed.random() < options.relief
     if relief:
         emboss_all(embossed)
+    scattered = random.Random(f"slender {seed}")
+    slender = scattered.random() < options.slender
+    if slender:
+        scatter(scattered)
     last = FRAMES - 1
     for frame in range(FRAMES):
         render(folder / f"frame_{frame:04d}.exr", frame=frame, samples=samples, seed=frame)
@@ -137,7 +145,8 @@ def render_scene(folder: Path, seed: int, options: Options) -> None:
         "reference_spp": options.reference, "height": size, "width": size, "used": used,
         "filter": scene.cycles.pixel_filter_type, "filter_width": scene.cycles.filter_width,
         "clamp": scene.cycles.sample_clamp_indirect,
-        "motion": options.motion, "relief": relief, "blender": bpy.app.version_string,
+        "motion": options.motion, "relief": relief, "slender": slender,
+        "blender": bpy.app.version_string,
     }  # fmt: skip
     (folder / RECORD).write_text(json.dumps(record, indent=1))
 
@@ -164,6 +173,9 @@ def main() -> None:
     parser.add_argument("--box", type=float, default=usual.box, help="with a box filter, [0, 1]")
     parser.add_argument(
         "--relief", type=float, default=usual.relief, help="with relief on all surfaces, [0, 1]"
+    )
+    parser.add_argument(
+        "--slender", type=float, default=usual.slender, help="with thin things, glasses, [0, 1]"
     )
     parser.add_argument(
         "--motion", type=float, default=usual.motion, help="cameras move up to so many times as far"
