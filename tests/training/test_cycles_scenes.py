@@ -89,6 +89,18 @@ def test_relief_shows_in_normals_of_the_same_scene(tmp_path):
     assert steps[1] > 1.2 * steps[0]
 
 
+def test_thin_things_stand_before_the_same_scene(tmp_path):
+    both = list(scenes(tmp_path, "--slender", ("0", "1"), size="32", reference="4"))
+    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
+    assert [record["slender"] for record in records] == [False, True]
+    depths = [read_exr(scene / "ref_0007.exr").depth for scene in both]
+    without, with_them = (np.where(depth > 0, depth, 50) for depth in depths)  # 0: the sky
+    apart = with_them / without
+    assert (apart < 0.98).mean() > 0.01  # they stand before what was seen
+    assert (np.abs(apart - 1) < 0.01).mean() > 0.4  # which is still there between them
+    assert (apart > 1.02).mean() < 0.02  # and they hide it: nothing is further off
+
+
 def test_a_motion_that_is_less_than_usual_is_told(tmp_path):
     done = render(tmp_path, "--motion", "0.5")
     assert done.returncode == 2

@@ -164,9 +164,9 @@ def _cable(drawn: Random, start: Vector, end: Vector) -> Path:
 def _glass(drawn: Random, point: Vector, high: float) -> None:
     """A vessel with walls of glass, empty or with something in it."""
     clear = drawn.random() < 0.6
-    tint = (0.95,) * 3 if clear else tuple(0.5 + 0.5 * part for part in color(drawn))
+    red, green, blue = (0.9,) * 3 if clear else color(drawn)
     glass = Material(
-        "glass", tint, Transmission_Weight=1.0, IOR=1.45,
+        "glass", (0.5 + red / 2, 0.5 + green / 2, 0.5 + blue / 2), Transmission_Weight=1.0, IOR=1.45,
         Roughness=drawn.choice((0.0, 0.0, 0.0, 0.1, 0.3)),
     )  # fmt: skip
     steps = 8
