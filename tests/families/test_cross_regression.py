@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from stillray.arrays.strips import Strips
+from stillray.families import cross_regression
 from stillray.families.cross_regression import deviation, pilots
 
 WINDOW, REACH, RIDGE, NOISE = 17, 8, 1e-3, 0.01
@@ -27,8 +28,8 @@ def oracle(explains, explained, guides):
     noise = oracle_deviation(explains)
     _, height, width = explains.shape
     sums, weights = np.zeros((3, height, width)), np.zeros((height, width))
-    for center_y in range(3, height + 3, 6):
-        for center_x in range(3, width + 3, 6):
+    for center_y in range(3, height + 3, 7):
+        for center_x in range(3, width + 3, 7):
             cy, cx = min(center_y, height - 1), min(center_x, width - 1)
             rows, places, w, y = [], [], [], []
             for py in range(center_y - REACH, center_y + REACH + 1):
@@ -78,6 +79,13 @@ def test_pilots_are_those_of_loops(rng, shape):
     found = pilots(first, second, guides, strips)
     for pilot, (own, other) in zip(found, [(first, second), (second, first)], strict=True):
         np.testing.assert_allclose(pilot, oracle(own, other, guides), atol=2e-4)
+
+
+def test_how_many_windows_are_taken_out_at_once_does_not_matter(rng, monkeypatch):
+    (first, second), guides = halves(rng, 20, 40)
+    whole = pilots(first, second, guides, Strips(1)).copy()
+    monkeypatch.setattr(cross_regression, "_CENTERS", 4)  # windows overlap from one to the next
+    np.testing.assert_allclose(pilots(first, second, guides, Strips(1)), whole, atol=1e-5)
 
 
 def test_deviation_is_that_of_loops(rng):

@@ -233,7 +233,7 @@ class Teacher:
         pass
 
 
-LESSON = Lesson(np.zeros((1, 15, 12, 12), np.float32), np.zeros((7, 10, 11), np.float32))
+LESSON = Lesson(np.zeros((1, 15, 12, 12), np.float32), (10, 11), None)
 
 
 @pytest.mark.parametrize(("loss", "slope"), [(np.nan, 0.1), (1.0, np.nan), (1.0, 1e6)])

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from stillray.arrays.extend import surround
@@ -12,10 +14,11 @@ from stillray.arrays.strips import STRIP_PIXELS, Strips
 WINDOW = 11  # pixels, odd (below eq. 8)
 EPSILON = np.float32(1e-4)  # of eq. 9, in squared bands
 _REACH = WINDOW // 2
+_LEAST = np.float32(-80)  # of an exponent, before the smallest normal number
 _COLORS = 3
 # Pixels that are filtered at once: smaller strips stay in a nearer cache, but two threads wait for
 # one another at the interpreter's lock all the more often.
-_STRIP_PIXELS = 1 << 15
+_STRIP_PIXELS = 1 << 16
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -142,31 +145,62 @@ def _sums(
     slopes, of_place = slopes[:, :4], slopes[:, 4]
     flat, pitch = planes.reshape(-1), planes[0].size
     first = (rows.start + _REACH + 1) * pitch
-    own = flat[first : first + count * pitch]
-    apart = np.empty((count, _COLORS, 4, full), np.float32)
+    own = flat[first : first + count * pitch].reshape(count, _COLORS, 4, full)
+    # the center's weight is 1
+    sums, weights = own[:, :, :2].copy(), np.ones((count, 2, full), "f4")
     exponent, shared = np.empty((count, 4, full), "f4"), np.empty((count, full), "f4")
-    weight, weights = np.empty((count, 2, full), "f4"), np.zeros((count, 2, full), "f4")
-    moved, sums = np.empty((2, count, _COLORS, 2, full), np.float32)
-    sums[:] = 0
-    for y, x in offsets:
+    weight = np.empty((count, 2, full), "f4")
+    for (y, x), found in _distances(flat, first, (count, 4, full), offsets):
         least, most = max(0, -x), min(width, width - x)
         top, bottom = max(0, -y - rows.start), min(count, height - y - rows.start)
         if least >= most or top >= bottom:
             continue
-        there = flat[first + y * pitch + x :][: count * pitch]
-        np.subtract(there, own, out=apart.reshape(-1))
-        np.square(apart, out=apart)
-        np.add(apart[:, 0], apart[:, 1], out=exponent)
-        exponent += apart[:, 2]
-        exponent *= slopes
+        np.multiply(found, slopes, out=exponent)
         np.multiply(of_place, np.float32((y * y + x * x) / _REACH**2), out=shared)
         shared += exponent[:, 2]
         shared += exponent[:, 3]
         np.add(exponent[:, :2], shared[:, None], out=weight)
-        np.exp(weight, out=weight)
+        np.maximum(weight, _LEAST, out=weight)  # what is below costs ten times as long
+        cv2.exp(weight, weight)
         weight[:top] = weight[bottom:] = 0
         weight[..., : _REACH + least] = weight[..., _REACH + most :] = 0
         weights += weight
-        np.multiply(there.reshape(apart.shape)[:, :, :2], weight[:, None], out=moved)
-        sums += moved
+        there = flat[first + y * pitch + x :][: count * pitch].reshape(count, _COLORS, -1)
+        for color in range(_COLORS):
+            cv2.accumulateProduct(
+                there[:, color, : 2 * full],
+                weight.reshape(count, -1),
+                sums[:, color].reshape(count, -1),
+            )
     return sums[..., inner].transpose(1, 2, 0, 3), weights[..., inner].transpose(1, 0, 2)
+
+
+def _distances(
+    flat: np.ndarray, first: int, shape: tuple[int, int, int], offsets: list[tuple[int, int]]
+) -> Iterator[tuple[tuple[int, int], np.ndarray]]:
+    """Squared distances, of `shape` (rows, groups, columns), to all neighbours but the center.
+
+    A pixel is as far from a neighbour as that neighbour is from it: windows being symmetric, half
+    of the distances are those of the other half, seen from elsewhere.
+    """
+    count, groups, full = shape
+    pitch = _COLORS * groups * full
+    apart = np.empty((count + _REACH, groups * full), np.float32)
+    # columns to the side of the first and the last row belong to none
+    buffer = np.empty(apart.size + 2 * _REACH, np.float32)
+    for y, x in offsets:
+        if (y, x) <= (0, 0):
+            continue
+        rows = count + y
+        own = flat[first - y * pitch :][: rows * pitch].reshape(rows, _COLORS, -1)
+        there = flat[first + x :][: rows * pitch].reshape(rows, _COLORS, -1)
+        squares = buffer[_REACH:][: rows * groups * full].reshape(rows, -1)
+        for color in range(_COLORS):
+            np.subtract(there[:, color], own[:, color], out=apart[:rows])
+            if color:
+                cv2.accumulateSquare(apart[:rows], squares)
+            else:
+                np.square(apart[:rows], out=squares)
+        yield (y, x), squares[y:].reshape(shape)
+        start = _REACH - x
+        yield (-y, -x), buffer[start : start + count * groups * full].reshape(shape)

@@ -1,13 +1,11 @@
 """Cross-regression (Choi et al. 2024, section 4.1): pilot estimates from two halves of the samples.
 
-Around one pixel in 36 one half's radiance, albedo and normals explain the other half's
+Around one pixel in 49 one half's radiance, albedo and normals explain the other half's
 radiance, by a line that is fitted in a window; what the lines say of a pixel is blended. The noise
 of the half that explains is not that of the half that is explained, so that it is not copied.
 """
 
 from __future__ import annotations
-
-from functools import partial
 
 import cv2
 import numpy as np
@@ -17,9 +15,9 @@ from stillray.arrays.strips import STRIP_PIXELS, Strips, with_halo
 from stillray.arrays.watch import Watch
 
 WINDOW = 17  # pixels, odd (section 3)
-# Pixels from center to center. differs: one pixel in 16 (section 3); one in 36 takes less than half
-# of the time (docs/decisions.md).
-SPACING = 6
+# Pixels from center to center. differs: one pixel in 16 (section 3); one in 49 takes a third of the
+# time (docs/decisions.md).
+SPACING = 7
 _REACH = WINDOW // 2
 _PIXELS = WINDOW**2
 _APART = -(-WINDOW // SPACING)  # centers whose windows do not overlap
@@ -32,9 +30,9 @@ RIDGE = 1e-3
 #: it, lines of others are drawn on far beyond what they were fitted to.
 ALONE = np.float32(0.1)
 _LEAST_WEIGHT = 1e-6  # of a window, in pixels: outside of frames there is nothing to fit
-# Centers whose windows are taken out at once, and rows of centers that are added up at once:
-# constants, as sums must not depend on strips.
-_CENTERS = 128
+# Centers in a row whose windows are taken out at once, and rows of centers whose windows are added
+# up at once: constants, as sums must not depend on strips.
+_CENTERS = 256
 _ROWS = 4
 _COLORS = 3
 
@@ -98,7 +96,7 @@ def _surrounded(
 ) -> tuple[np.ndarray, np.ndarray]:
     """What windows are taken from: as far as those of the centers reach, on every side.
 
-    Centers lie at 3, 9, 15, ...: beyond the last row or column they stand for it.
+    Centers lie at 3, 10, 17, ...: beyond the last row or column they stand for it.
 
     Returns
     -------
@@ -161,32 +159,50 @@ def _block(
 ) -> np.ndarray:
     """Sums of eq. 5 over some rows of centers: ``(2, 4, h, w)``, of both halves."""
     height = SPACING * (len(rows) - 1) + WINDOW
-    # so wide that the last window lies in a whole stretch of `_add_windows`
+    start = SPACING * rows.start + SPACING // 2
+    near = slice(start, start + height)
+    # so wide that the last window lies in a whole stretch of `_add_columns`
     sums = np.zeros((2, _COLORS + 1, height, shared.shape[2] + _APART * SPACING), np.float32)
-    for row in rows:
-        top = SPACING * (row - rows.start)
-        for left in range(0, columns, _CENTERS):
+    for left in range(0, columns, _CENTERS):
+        count = min(_CENTERS, columns - left)
+        common = _columns(shared[:, near], left, count)
+        seen = [_columns(planes[:, near], left, count) for planes in padded]
+        said = np.zeros((2, count, _COLORS + 1, height, WINDOW), np.float32)
+        for top in range(0, height - WINDOW + 1, SPACING):
             watch.look()  # a block takes long, and cutting it would add up in another order
-            count = min(_CENTERS, columns - left)
-            take = partial(_windows, row=row, left=left, count=count)
-            common = take(shared)
-            # 1, color, guides, and what is explained: colors are written over for the second half
-            table = np.empty((count, 2 * _COLORS + len(shared), _PIXELS), np.float32)
-            variables, targets = table[:, :-_COLORS], table[:, -_COLORS:]
-            variables[:, 0] = 1
-            middle = common[..., _PIXELS // 2, None]
-            np.subtract(common[:, :-1], middle[:, :-1], out=variables[:, 1 + _COLORS :])
-            alike = _alike(variables[:, 1 + _COLORS :], common[:, -1])
-            seen = [take(planes) for planes in padded]
-            for half, planes in enumerate(seen):
-                weights = _explain(planes, alike, variables)
-                targets[:] = seen[1 - half][:, :_COLORS]
-                lines = _fit(table, weights)
-                said = lines @ variables
-                said *= weights[:, None]
-                where = sums[half, :, top : top + WINDOW]
-                _add_windows(where, said, weights, left)
+            windows = [_windows(planes, top) for planes in (common, *seen)]
+            _say(windows[0], (windows[1], windows[2]), _windows(said, top))
+        for half in range(2):
+            _add_columns(sums[half], said[half], left)
     return sums
+
+
+def _say(common: np.ndarray, seen: tuple[np.ndarray, np.ndarray], said: np.ndarray) -> None:
+    """Fit lines in windows, and add what they say, weighed, and their weights.
+
+    Parameters
+    ----------
+    common : (count, g + 1, pixels) float32
+        Guides, and whether a pixel is of the frame.
+    seen : two (count, 4, pixels) float32
+        Both halves, and the deviation of each.
+    said : (2, count, 4, pixels) float32
+        What is added to.
+    """
+    count, planes = common.shape[:2]
+    # 1, color, guides: colors are written over for the second half
+    variables = np.empty((count, _COLORS + planes, _PIXELS), np.float32)
+    variables[:, 0] = 1
+    guides = variables[:, 1 + _COLORS :]
+    np.subtract(common[:, :-1], common[:, :-1, _PIXELS // 2, None], out=guides)
+    alike = _alike(guides, common[:, -1])
+    weighed = np.empty_like(variables)
+    for half, sums in enumerate(said):
+        weighed[:, 0] = weights = _explain(seen[half], alike, variables)
+        np.multiply(variables[:, 1:], weights[:, None], out=weighed[:, 1:])
+        lines = _fit(variables, weighed, seen[1 - half][:, :_COLORS])
+        sums[:, :_COLORS] += lines @ weighed
+        sums[:, _COLORS] += weights
 
 
 def _summed(parts: list[np.ndarray], rows: slice, width: int) -> np.ndarray:
@@ -202,14 +218,22 @@ def _summed(parts: list[np.ndarray], rows: slice, width: int) -> np.ndarray:
     return sums
 
 
-def _windows(planes: np.ndarray, row: int, left: int, count: int) -> np.ndarray:
-    """Windows around some centers of a row: ``(count, planes, pixels)``."""
-    top = SPACING * row + SPACING // 2
-    part = planes[:, top : top + WINDOW]
-    views = np.lib.stride_tricks.sliding_window_view(part, WINDOW, axis=2)
+def _columns(planes: np.ndarray, left: int, count: int) -> np.ndarray:
+    """Columns of pixels as wide as windows around some centers: ``(count, planes, h, 17)``.
+
+    A window of a column is one run of memory.
+    """
+    views = np.lib.stride_tricks.sliding_window_view(planes, WINDOW, axis=2)
     start = SPACING * left + SPACING // 2
-    chosen = views[:, :, start : start + SPACING * count : SPACING]  # (p, 17, count, 17)
-    return np.ascontiguousarray(chosen.transpose(2, 0, 1, 3)).reshape(count, len(planes), -1)
+    chosen = views[:, :, start : start + SPACING * count : SPACING]  # (p, h, count, 17)
+    return np.ascontiguousarray(chosen.transpose(2, 0, 1, 3))
+
+
+def _windows(columns: np.ndarray, top: int) -> np.ndarray:
+    """Windows of `_columns` from some row on, not copied: ``(..., pixels)``."""
+    part = columns[..., top : top + WINDOW, :]
+    steps = (*part.strides[:-2], part.strides[-1])
+    return np.lib.stride_tricks.as_strided(part, (*part.shape[:-2], _PIXELS), steps)
 
 
 def _alike(apart: np.ndarray, inside: np.ndarray) -> np.ndarray:
@@ -233,16 +257,23 @@ def _explain(planes: np.ndarray, alike: np.ndarray, variables: np.ndarray) -> np
     np.negative(squares, out=squares)
     weights = np.exp(squares, out=squares)
     weights *= alike
-    apart /= (noise + (own + _NOISE))[:, None]
+    np.add(noise, own + _NOISE, out=variance)
+    apart *= np.reciprocal(variance, out=variance)[:, None]
     return weights
 
 
-def _fit(table: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Weighted least squares (eq. 4) of the last three planes: ``(count, 3, variables)``."""
-    size = table.shape[1] - _COLORS
-    weighed = table[:, :size] * weights[:, None]
-    products = (weighed @ table.transpose(0, 2, 1)).astype(np.float64)
-    normal, right = products[..., :size], products[..., size:]
+def _fit(variables: np.ndarray, weighed: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """Weighted least squares (eq. 4) of three planes: ``(count, 3, variables)``.
+
+    Parameters
+    ----------
+    variables, weighed : (count, v, pixels) float32
+        The first of them 1, and all of them times the weights.
+    targets : (count, 3, pixels) float32
+        What they explain.
+    """
+    normal = (weighed @ variables.transpose(0, 2, 1)).astype(np.float64)
+    right = (weighed @ targets.transpose(0, 2, 1)).astype(np.float64)
     total = normal[:, 0, 0].copy()
     diagonal = np.einsum("nii->ni", normal)
     diagonal[:, 1:] += RIDGE * total[:, None] + _LEAST_WEIGHT
@@ -255,22 +286,19 @@ def _fit(table: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return lines.transpose(0, 2, 1).astype(np.float32)
 
 
-def _add_windows(sums: np.ndarray, said: np.ndarray, weights: np.ndarray, left: int) -> None:
-    """Add windows of what lines say, and of weights, at their places in rows of a block.
+def _add_columns(sums: np.ndarray, said: np.ndarray, left: int) -> None:
+    """Add columns of what lines say, and of weights, at their places in rows of a block.
 
-    Windows so far apart that they do not overlap are added at once, row by row of a window.
+    Columns so far apart that they do not overlap are added at once.
     """
-    count = len(said)
-    planes = said.reshape(count, _COLORS, WINDOW, WINDOW).transpose(1, 2, 0, 3)
-    shares = weights.reshape(count, WINDOW, WINDOW).transpose(1, 0, 2)
-    step = _APART * SPACING
+    count, step = len(said), _APART * SPACING
+    planes = said.transpose(1, 2, 0, 3)
     for first in range(min(_APART, count)):
         number = len(range(first, count, _APART))
         start = SPACING * (left + first) + SPACING // 2
-        # of each stretch a window takes the beginning
+        # of each stretch a column takes the beginning
         at = sums[..., start : start + step * number].reshape(*sums.shape[:2], number, step)
-        at[:_COLORS, ..., :WINDOW] += planes[:, :, first::_APART]
-        at[_COLORS, ..., :WINDOW] += shares[:, first::_APART]
+        at[..., :WINDOW] += planes[:, :, first::_APART]
 
 
 def _limit(estimate: np.ndarray, explained: np.ndarray, inside: slice) -> None:

@@ -25,7 +25,6 @@ from stillray.families.online_learning import Learned, Learner, Lesson
 from stillray.families.online_past import (
     Past,
     exposed,
-    no_pilots,
     picture_of_past,
     pilots_of_past,
     radiance_of,
@@ -126,7 +125,7 @@ class OnlineModel:
             *(stage if stage.name != "repair" or not repairs else _stage(second, "repair")
               for stage in first.stages),
             Stage("regress", True, "each half of the samples explains the other"),
-            Stage("warp", moves, "the last pilots teach, too" if moves
+            Stage("warp", moves, "the last picture and pilots, along motion" if moves
                   else _stage(first, "reproject").reason),
             Stage("encode", True, f"{len(self.spec.network.features)} planes for the network"),
             Stage("network", True, self.spec.name),
@@ -156,13 +155,10 @@ class OnlineModel:
             guides = _guide_planes(prepared, context)
             both = self._regressed((prepared.history, other), exposure, guides, strips)
         shape, albedo = plan.first.shape, prepared.remodulation_albedo
-        taught, last = no_pilots(shape), np.zeros((4, *shape), np.float32)
-        if plan.runs("warp") and plan.past is not None:
+        last = np.zeros((4, *shape), np.float32)
+        if plan.runs("warp") and picture is not None:
             with timed(context.timings, "warp"):
-                options = self.spec.temporal
-                taught = pilots_of_past(plan.past, plan.first.buffers, exposure, options, context)
-                if picture is not None:
-                    last = picture_of_past(picture, both, albedo, exposure, context)
+                last = picture_of_past(picture, both, albedo, exposure, context)
         with timed(context.timings, "encode"):
             planes = self._encode((both, guides, last[:3]), context)
         learned = plan.learned or Learned.begin(
@@ -181,11 +177,17 @@ class OnlineModel:
             irradiance = radiance_of(self.filter(estimates, theta, strips), exposure, strips)
             image = remodulated(irradiance, albedo, strips)
 
+        def warped(rows: slice) -> np.ndarray:
+            assert plan.past is not None
+            options, buffers = self.spec.temporal, plan.first.buffers
+            return pilots_of_past(plan.past, buffers, exposure, options, context, rows)
+
         def finish() -> State:
             after: Learned | None = None
             if plan.runs("learn"):
                 with timed(context.timings, "learn"):
-                    after = self._learn(learned, Lesson(planes, taught), engine)
+                    taught = warped if plan.runs("warp") and plan.past is not None else None
+                    after = self._learn(learned, Lesson(planes, shape, taught), engine)
             past: Past | None = None
             if plan.runs("remember"):
                 with timed(context.timings, "remember"):

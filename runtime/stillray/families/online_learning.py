@@ -6,7 +6,7 @@ Choi et al. 2024, section 4.3. The step itself is a graph (`stillray_training.on
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ CROP = 128
 _CHECK_EVERY = 16
 # Of the loss with the weights of the last look: more, and those come back.
 _WORSE = 1.05
+_PAST = 7  # planes
 _MOST = 1e3  # of a weight: no ReLU network that filters has any near it
 
 
@@ -60,12 +61,16 @@ class Lesson:
     ----------
     features : (1, n, H, W) float32
         As the network sees them; at least as large as the frame.
-    past : (7, h, w) float32
-        The last frame's pilots at these pixels, and 1 where there are any.
+    shape
+        Height and width of the frame, pixels.
+    past
+        Gives the last frame's pilots at the pixels of some rows, and 1 where there are any:
+        ``(7, rows, w)``. None where there are none anywhere.
     """
 
     features: np.ndarray
-    past: np.ndarray
+    shape: tuple[int, int]
+    past: Callable[[slice], np.ndarray] | None
 
 
 class Learner:
@@ -152,17 +157,19 @@ def crop_of(lesson: Lesson, rng: np.random.Generator) -> dict[str, np.ndarray]:
 
     A frame that is smaller is carried on by its last row and column, which do not count.
     """
-    height, width = lesson.past.shape[1:]
-    sizes = [min(size, CROP) for size in (height, width)]
+    sizes = [min(size, CROP) for size in lesson.shape]
     top, left = (
-        int(rng.integers(size - part + 1))
-        for size, part in zip((height, width), sizes, strict=True)
+        int(rng.integers(size - part + 1)) for size, part in zip(lesson.shape, sizes, strict=True)
     )
-    at = (..., slice(top, top + sizes[0]), slice(left, left + sizes[1]))
+    rows, columns = slice(top, top + sizes[0]), slice(left, left + sizes[1])
+    past = np.zeros((_PAST, *sizes), np.float32)
+    if lesson.past is not None:
+        past = lesson.past(rows)[..., columns]
     sides: Sequence[tuple[int, int]] = [(0, CROP - part) for part in sizes]
     inside = np.pad(np.ones((1, 1, *sizes), np.float32), [(0, 0), (0, 0), *sides])
+    features = lesson.features[..., rows, columns]
     return {
-        "features": np.pad(lesson.features[at], [(0, 0), (0, 0), *sides], mode="edge"),
-        "past": np.pad(lesson.past[at][None], [(0, 0), (0, 0), *sides], mode="edge"),
+        "features": np.pad(features, [(0, 0), (0, 0), *sides], mode="edge"),
+        "past": np.pad(past[None], [(0, 0), (0, 0), *sides], mode="edge"),
         "inside": inside,
     }

@@ -41,13 +41,13 @@ class Past:
     pilot_b: np.ndarray
 
 
-def no_pilots(shape: tuple[int, int]) -> np.ndarray:
-    """What `pilots_of_past` gives where there is no past."""
-    return np.zeros((7, *shape), "f4")
-
-
 def pilots_of_past(
-    past: Past, buffers: Buffers, exposure: float, options: Temporal, context: Context
+    past: Past,
+    buffers: Buffers,
+    exposure: float,
+    options: Temporal,
+    context: Context,
+    asked: slice,
 ) -> np.ndarray:
     """The last pilots, along motion; a surface that disagrees by normal or depth was not seen.
 
@@ -63,15 +63,17 @@ def pilots_of_past(
         When geometry disagrees.
     context
         Where the work runs.
+    asked
+        Rows that are wanted.
 
     Returns
     -------
-    (7, h, w) float32
+    (7, rows, w) float32
         Logarithms of exposed irradiance, and last 1 where these pixels' surface was seen, or 0.
     """
     motion, strips = buffers.motion, context.strips
     assert motion is not None
-    shape = motion.shape[:2]
+    shape = asked.stop - asked.start, motion.shape[1]
     guides = past.first.surface_guides
     compares = guides is not None and (buffers.normal is not None or buffers.depth is not None)
     rough: np.ndarray | None = None
@@ -81,7 +83,8 @@ def pilots_of_past(
     known = pilots[-1]
     sources = ((past.pilot_a, pilots[:3]), (past.pilot_b, pilots[3:6]))
 
-    def work(rows: slice) -> None:
+    def work(part: slice) -> None:
+        rows = slice(asked.start + part.start, asked.start + part.stop)
         now: np.ndarray | None = None
         if compares:
             now = rep.surface_guide_planes(
@@ -95,11 +98,11 @@ def pilots_of_past(
             previous = rep.PreviousFrame(source, before, rough)
             taken = planes_of(
                 rep.reproject(previous, now, at, rows, options, strips.workspace),
-                out=strips.workspace.array("found", (4, *known[rows].shape)),
+                out=strips.workspace.array("found", (4, *known[part].shape)),
             )
             if source is past.pilot_a:
-                known[rows] = taken[3] > _LEAST_SHARE
-            np.multiply(logarithm(taken[:3], exposure), known[rows], out=target[:, rows])
+                known[part] = taken[3] > _LEAST_SHARE
+            np.multiply(logarithm(taken[:3], exposure), known[part], out=target[:, part])
 
     strips.run(work, *shape, pixels=STRIP_PIXELS // 2)
     return pilots
