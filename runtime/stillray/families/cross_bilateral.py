@@ -187,7 +187,7 @@ def _distances(
     pitch = _COLORS * groups * full
     apart = np.empty((count + _REACH, groups * full), np.float32)
     # columns to the side of the first and the last row belong to none
-    buffer = np.empty(apart.size + 2 * _REACH, np.float32)
+    buffer = np.zeros(apart.size + 2 * _REACH, np.float32)
     for y, x in offsets:
         if (y, x) <= (0, 0):
             continue
