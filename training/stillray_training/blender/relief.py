@@ -11,6 +11,7 @@ from typing import Any
 
 import bpy
 
+from stillray_training.blender.log_uniform import log_uniform
 from stillray_training.blender.parts import Material
 
 _PLAIN = 0.6  # share of the surfaces that lose their pattern
@@ -36,13 +37,8 @@ def emboss_all(drawn: Random) -> None:
                 made.links.remove(link)
         for link in list(surface.inputs["Normal"].links):
             made.links.remove(link)
-        size = _between(drawn, *_SIZES)
-        made.emboss(_height(made, drawn, size), size * _between(drawn, *_SLOPES))
-
-
-def _between(drawn: Random, low: float, high: float) -> float:
-    """As often in the lower half as in the upper, by ratios."""
-    return float(low * (high / low) ** drawn.random())
+        size = log_uniform(drawn, *_SIZES)
+        made.emboss(_height(made, drawn, size), size * log_uniform(drawn, *_SLOPES))
 
 
 def _height(made: Material, drawn: Random, size: float) -> Any:

@@ -15,6 +15,7 @@ from typing import Any
 import bpy
 from mathutils import Vector
 
+from stillray_training.blender.log_uniform import log_uniform
 from stillray_training.blender.materials import color
 from stillray_training.blender.parts import Material, lathe
 
@@ -25,7 +26,7 @@ _BROAD = (0.08, 0.5)  # of the picture's width, what a thing spans
 _LOW = 0.5  # least z of the normal of what things stand on
 _NEAR = 0.3  # metres before which nothing is stood
 
-Path = Sequence[Vector]
+_Path = Sequence[Vector]
 
 
 class _View:
@@ -62,7 +63,7 @@ def scatter(drawn: Random) -> None:
     found = [view.seen(drawn) for _ in range(3 * drawn.randint(*_PLACES))]
     places = [place for place in found if place][: len(found) // 3]
     for index, (point, normal, far) in enumerate(places):
-        broad = far * view.width * _between(drawn, *_BROAD)
+        broad = far * view.width * log_uniform(drawn, *_BROAD)
         stands = normal.z > _LOW
         if stands and drawn.random() < _GLASSES:
             _glass(drawn, point, broad / 2)
@@ -71,13 +72,8 @@ def scatter(drawn: Random) -> None:
         paths = build(drawn, point, normal, broad)
         if drawn.random() < 0.2:
             paths = [_cable(drawn, point, places[index - 1][0])]
-        radius = far * view.width / size * _between(drawn, *_THICK) / 2
+        radius = far * view.width / size * log_uniform(drawn, *_THICK) / 2
         _threads(paths, radius, _stuff(drawn))
-
-
-def _between(drawn: Random, low: float, high: float) -> float:
-    """As often in the lower half as in the upper, by ratios."""
-    return float(low * (high / low) ** drawn.random())
 
 
 def _stuff(drawn: Random) -> Material:
@@ -87,7 +83,7 @@ def _stuff(drawn: Random) -> Material:
     return Material("thin", tint, Roughness=drawn.uniform(0.1, 0.9), Metallic=metallic)
 
 
-def _threads(paths: Sequence[Path], radius: float, stuff: Material) -> Any:
+def _threads(paths: Sequence[_Path], radius: float, stuff: Material) -> Any:
     """Round threads along paths."""
     curve = bpy.data.curves.new("threads", "CURVE")
     curve.dimensions, curve.bevel_depth, curve.bevel_resolution = "3D", radius, 2
@@ -103,7 +99,7 @@ def _threads(paths: Sequence[Path], radius: float, stuff: Material) -> Any:
     return thing
 
 
-def _bent(start: Vector, along: Vector, bend: Vector) -> Path:
+def _bent(start: Vector, along: Vector, bend: Vector) -> _Path:
     """From a point along a vector, its end moved by another."""
     steps = [step / 6 for step in range(7)]
     return [start + step * along + step**2 * bend for step in steps]
@@ -113,7 +109,7 @@ def _aside(drawn: Random, size: float) -> Vector:
     return Vector([drawn.gauss(0, size) for _ in range(3)])
 
 
-def _stalks(drawn: Random, point: Vector, normal: Vector, broad: float) -> list[Path]:
+def _stalks(drawn: Random, point: Vector, normal: Vector, broad: float) -> list[_Path]:
     """A bunch that spreads from one point."""
     up = (normal + Vector((0, 0, drawn.uniform(0, 2)))).normalized()
     spread = drawn.uniform(0.1, 0.5)
@@ -124,7 +120,7 @@ def _stalks(drawn: Random, point: Vector, normal: Vector, broad: float) -> list[
     ]  # fmt: skip
 
 
-def _grass(drawn: Random, point: Vector, normal: Vector, broad: float) -> list[Path]:
+def _grass(drawn: Random, point: Vector, normal: Vector, broad: float) -> list[_Path]:
     """Blades all over a patch."""
     high = broad * drawn.uniform(0.15, 0.6)
     blades = []
@@ -135,7 +131,7 @@ def _grass(drawn: Random, point: Vector, normal: Vector, broad: float) -> list[P
     return blades
 
 
-def _bars(drawn: Random, point: Vector, normal: Vector, broad: float) -> list[Path]:
+def _bars(drawn: Random, point: Vector, normal: Vector, broad: float) -> list[_Path]:
     """Parallel bars before a wall."""
     up = normal.orthogonal().normalized()
     turn = drawn.choice((0.0, math.pi / 2, drawn.uniform(0, math.pi)))
@@ -149,12 +145,12 @@ def _bars(drawn: Random, point: Vector, normal: Vector, broad: float) -> list[Pa
     return [[at - half, at + half] for at in bars]
 
 
-def _net(drawn: Random, point: Vector, normal: Vector, broad: float) -> list[Path]:
+def _net(drawn: Random, point: Vector, normal: Vector, broad: float) -> list[_Path]:
     """Two sets of bars, across each other or askew."""
     return _bars(drawn, point, normal, broad) + _bars(drawn, point, normal, broad)
 
 
-def _cable(drawn: Random, start: Vector, end: Vector) -> Path:
+def _cable(drawn: Random, start: Vector, end: Vector) -> _Path:
     """What hangs between two points."""
     sag = Vector((0, 0, -drawn.uniform(0, 0.3) * (end - start).length))
     steps = [step / 16 for step in range(17)]
@@ -165,10 +161,9 @@ def _glass(drawn: Random, point: Vector, high: float) -> None:
     """A vessel with walls of glass, empty or with something in it."""
     clear = drawn.random() < 0.6
     red, green, blue = (0.9,) * 3 if clear else color(drawn)
-    glass = Material(
-        "glass", (0.5 + red / 2, 0.5 + green / 2, 0.5 + blue / 2), Transmission_Weight=1.0, IOR=1.45,
-        Roughness=drawn.choice((0.0, 0.0, 0.0, 0.1, 0.3)),
-    )  # fmt: skip
+    tint = (0.5 + red / 2, 0.5 + green / 2, 0.5 + blue / 2)
+    roughness = drawn.choice((0.0, 0.0, 0.0, 0.1, 0.3))
+    glass = Material("glass", tint, Transmission_Weight=1.0, IOR=1.45, Roughness=roughness)
     steps = 8
     outer = [(high * drawn.uniform(0.2, 0.45), high * step / steps) for step in range(steps + 1)]
     wall = 0.06 * high
