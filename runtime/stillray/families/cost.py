@@ -97,8 +97,8 @@ def feature_filters_cost(levels: int, options: FeatureFilters) -> tuple[float, f
 
 def cross_bilateral_cost(neighbours: int) -> tuple[float, float]:
     """The same of a cross-bilateral filter of two estimates by two guides, blended with a past."""
-    # four differences of three channels, squared and added, once for two neighbours; their bands and
-    # the place's; two weights, and the light of two estimates
+    # four differences of three channels, squared and added, once for two neighbours; their bands
+    # and the place's; two weights, and the light of two estimates
     each = 4 * (3 * 2 + 2) / 2 + 4 + 4 + 2 * (EXP + 1 + 3 * 2)
     return (neighbours - 1) * each + 5 * 3 + 2 * 3 * 2 + EXP + 3 * 2, 4 * 3 + 6 + 3 + 1 + 3
 
