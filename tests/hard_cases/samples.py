@@ -250,4 +250,31 @@ def single_bright_pixel(denoiser: stillray.Denoiser) -> float:
     return float(1 - (image.sum() - 0.1 * image.size) / (3 * 9.9))
 
 
+_FEW_LAMPS = "few small lamps are in view of what it learned from: what is far brighter is noise"
+
+
+@case(
+    "a lamp of 4x3 pixels on a wall of 4 samples, one frame",
+    "share of its light lost",
+    0.25,
+    kpyr_5=_FEW_LAMPS,
+    kpyr_5s=_FEW_LAMPS,
+    nbg_2x1=_FEW_LAMPS,
+    nbg_2x3=_FEW_LAMPS,
+    nbg_7x3=_FEW_LAMPS,
+    wskp_3=_FEW_LAMPS,
+    wskp_3s=_FEW_LAMPS,
+    wskp_6=_FEW_LAMPS,
+    wskp_mr=_FEW_LAMPS,
+)
+def lamp(denoiser: stillray.Denoiser) -> float:
+    frames = noisy(4)
+    frame = changed(frames[0], color=np.mean([each.color for each in frames], axis=0))
+    albedo = frame.albedo
+    assert albedo is not None
+    frame.color[1:4, 14:18], albedo[1:4, 14:18] = 10, 0.9  # no samples' noise: it is seen itself
+    (image,) = run(denoiser, [changed(frame, samples=4)])
+    return float(1 - image[1:4, 14:18].mean() / 10)
+
+
 CASES: list[Case] = [value for value in list(globals().values()) if isinstance(value, Case)]

@@ -101,6 +101,17 @@ def test_thin_things_stand_before_the_same_scene(tmp_path):
     assert (apart > 1.02).mean() < 0.02  # and they hide it: nothing is further off
 
 
+def test_lamps_shine_in_the_same_scene(tmp_path):
+    both = list(scenes(tmp_path, "--lamps", ("0", "1"), size="32", reference="4"))
+    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
+    assert [record["lamps"] for record in records] == [False, True]
+    without, lit = (read_exr(scene / "ref_0007.exr") for scene in both)
+    lamps = (lit.depth < 0.99 * without.depth) & (lit.depth > 0)
+    assert 0 < lamps.mean() < 0.2  # small ones, before what was seen
+    light = lit.color.mean(axis=2)
+    assert light[lamps].max() > 3 * np.median(light)
+
+
 def test_a_motion_that_is_less_than_usual_is_told(tmp_path):
     done = render(tmp_path, "--motion", "0.5")
     assert done.returncode == 2

@@ -18,6 +18,7 @@ import bpy
 
 from stillray_training.blender.cycles import prepare, render
 from stillray_training.blender.generated import KINDS, build
+from stillray_training.blender.lamps import light_up
 from stillray_training.blender.record import RECORD, TAKEN
 from stillray_training.blender.relief import emboss_all
 from stillray_training.blender.slender import scatter
@@ -29,6 +30,7 @@ _ROOMS = 0.5  # share of the scenes that are rooms
 _PANELLED = 0.4  # and of those, of rooms full of painted joinery
 _RELIEF = 0.0  # share whose surfaces have one color and relief
 _SLENDER = 0.0  # share with thin things and glasses stood about
+_LAMPS = 0.0  # share with small lamps in view
 _BACKLIT = 0.0  # and of the others, of rooms that are looked at against their windows
 _MOTION = 1.0  # cameras move up to so many times as far
 _BOX = 0.5  # share with a box filter, as other renderers have
@@ -46,11 +48,11 @@ class Options:
         Width and height, pixels.
     reference
         Most samples a pixel of references.
-    rooms, panelled, backlit, box, relief, slender
+    rooms, panelled, backlit, box, relief, slender, lamps
         Shares, [0, 1]: of scenes that are rooms, of rooms full of painted joinery, of other rooms
         that are looked at against their windows, of scenes rendered with a box filter, of scenes
-        most of whose surfaces have one color and relief that only normals show, and of scenes with
-        thin things and glasses stood about.
+        most of whose surfaces have one color and relief that only normals show, of scenes with
+        thin things and glasses stood about, and of scenes with small lamps in view.
     motion
         Cameras move 1 to this many times as far as usual, 1 or more.
     assets
@@ -70,6 +72,7 @@ class Options:
     box: float = _BOX
     relief: float = _RELIEF
     slender: float = _SLENDER
+    lamps: float = _LAMPS
     motion: float = _MOTION
     assets: Path | None = None
 
@@ -77,7 +80,7 @@ class Options:
         for name in ("size", "reference"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
-        for name in ("rooms", "panelled", "backlit", "box", "relief", "slender"):
+        for name in ("rooms", "panelled", "backlit", "box", "relief", "slender", "lamps"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be 0 to 1, got {getattr(self, name)}")
         if not 1 <= self.motion <= 100:
@@ -132,6 +135,10 @@ def render_scene(folder: Path, seed: int, options: Options) -> None:
     slender = scattered.random() < options.slender
     if slender:
         scatter(scattered)
+    lit = random.Random(f"lamps {seed}")
+    lamps = lit.random() < options.lamps
+    if lamps:
+        light_up(lit)
     last = FRAMES - 1
     for frame in range(FRAMES):
         render(folder / f"frame_{frame:04d}.exr", frame=frame, samples=samples, seed=frame)
@@ -145,7 +152,7 @@ def render_scene(folder: Path, seed: int, options: Options) -> None:
         "reference_spp": options.reference, "height": size, "width": size, "used": used,
         "filter": scene.cycles.pixel_filter_type, "filter_width": scene.cycles.filter_width,
         "clamp": scene.cycles.sample_clamp_indirect,
-        "motion": options.motion, "relief": relief, "slender": slender,
+        "motion": options.motion, "relief": relief, "slender": slender, "lamps": lamps,
         "blender": bpy.app.version_string,
     }  # fmt: skip
     (folder / RECORD).write_text(json.dumps(record, indent=1))
@@ -176,6 +183,9 @@ def main() -> None:
     )
     parser.add_argument(
         "--slender", type=float, default=usual.slender, help="with thin things, glasses, [0, 1]"
+    )
+    parser.add_argument(
+        "--lamps", type=float, default=usual.lamps, help="with small lamps in view, [0, 1]"
     )
     parser.add_argument(
         "--motion", type=float, default=usual.motion, help="cameras move up to so many times as far"

@@ -18,48 +18,20 @@ from mathutils import Vector
 from stillray_training.blender.log_uniform import log_uniform
 from stillray_training.blender.materials import color
 from stillray_training.blender.parts import Material, lathe
+from stillray_training.blender.view import View
 
 _PLACES = (4, 10)
 _GLASSES = 0.3  # share of the places
 _THICK = (0.15, 2.5)  # pixels
 _BROAD = (0.08, 0.5)  # of the picture's width, what a thing spans
 _LOW = 0.5  # least z of the normal of what things stand on
-_NEAR = 0.3  # metres before which nothing is stood
 
 _Path = Sequence[Vector]
 
 
-class _View:
-    """The scene as its camera sees it.
-
-    Attributes
-    ----------
-    width
-        Of the picture, in distances.
-    """
-
-    def __init__(self) -> None:
-        bpy.context.view_layer.update()
-        self._depsgraph = bpy.context.evaluated_depsgraph_get()
-        eye = bpy.context.scene.camera
-        self._at, self._turned = eye.matrix_world.translation, eye.matrix_world.to_3x3()
-        self.width = eye.data.sensor_width / eye.data.lens
-
-    def seen(self, drawn: Random) -> tuple[Vector, Vector, float] | None:
-        """A point that a random pixel sees, its normal and distance; None if that is the sky."""
-        x, y = (self.width * drawn.uniform(-0.5, 0.5) for _ in range(2))
-        way = (self._turned @ Vector((x, y, -1))).normalized()
-        scene = bpy.context.scene
-        hit, point, normal, *_ = scene.ray_cast(self._depsgraph, self._at, way, distance=50)
-        far = (point - self._at).length
-        if not hit or far < _NEAR:
-            return None
-        return point, normal if normal.dot(way) < 0 else -normal, far
-
-
 def scatter(drawn: Random) -> None:
     """Stand thin things and glasses where the camera of the scene looks."""
-    view, size = _View(), bpy.context.scene.render.resolution_x
+    view, size = View(), bpy.context.scene.render.resolution_x
     found = [view.seen(drawn) for _ in range(3 * drawn.randint(*_PLACES))]
     places = [place for place in found if place][: len(found) // 3]
     for index, (point, normal, far) in enumerate(places):

@@ -1,0 +1,38 @@
+"""What the camera of a scene sees, by rays."""
+
+from __future__ import annotations
+
+from random import Random
+
+import bpy
+from mathutils import Vector
+
+_NEAR = 0.3  # metres, before which nothing is stood
+
+
+class View:
+    """The scene as its camera sees it.
+
+    Attributes
+    ----------
+    width
+        Of the picture, in distances.
+    """
+
+    def __init__(self) -> None:
+        bpy.context.view_layer.update()
+        self._depsgraph = bpy.context.evaluated_depsgraph_get()
+        eye = bpy.context.scene.camera
+        self._at, self._turned = eye.matrix_world.translation, eye.matrix_world.to_3x3()
+        self.width = eye.data.sensor_width / eye.data.lens
+
+    def seen(self, drawn: Random) -> tuple[Vector, Vector, float] | None:
+        """A point that a random pixel sees, its normal and distance; None if that is the sky."""
+        x, y = (self.width * drawn.uniform(-0.5, 0.5) for _ in range(2))
+        way = (self._turned @ Vector((x, y, -1))).normalized()
+        scene = bpy.context.scene
+        hit, point, normal, *_ = scene.ray_cast(self._depsgraph, self._at, way, distance=50)
+        far = (point - self._at).length
+        if not hit or far < _NEAR:
+            return None
+        return point, normal if normal.dot(way) < 0 else -normal, far
