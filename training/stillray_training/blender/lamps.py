@@ -19,9 +19,7 @@ _STRENGTH = (0.5, 300.0)  # radiance
 def light_up(drawn: Random) -> None:
     """Put shining balls, plates and tubes where the camera of the scene looks."""
     view, size = View(), bpy.context.scene.render.resolution_x
-    found = [view.seen(drawn) for _ in range(3 * drawn.randint(*_COUNT))]
-    places = [place for place in found if place][: len(found) // 3]
-    for point, normal, far in places:
+    for point, normal, far in view.places(drawn, drawn.randint(*_COUNT)):
         broad = far * view.width / size * log_uniform(drawn, *_BROAD)
         at = point + broad * normal
         stuff = _shining(drawn)

@@ -32,8 +32,7 @@ _Path = Sequence[Vector]
 def scatter(drawn: Random) -> None:
     """Stand thin things and glasses where the camera of the scene looks."""
     view, size = View(), bpy.context.scene.render.resolution_x
-    found = [view.seen(drawn) for _ in range(3 * drawn.randint(*_PLACES))]
-    places = [place for place in found if place][: len(found) // 3]
+    places = view.places(drawn, drawn.randint(*_PLACES))
     for index, (point, normal, far) in enumerate(places):
         broad = far * view.width * log_uniform(drawn, *_BROAD)
         stands = normal.z > _LOW

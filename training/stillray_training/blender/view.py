@@ -36,3 +36,8 @@ class View:
         if not hit or far < _NEAR:
             return None
         return point, normal if normal.dot(way) < 0 else -normal, far
+
+    def places(self, drawn: Random, count: int) -> list[tuple[Vector, Vector, float]]:
+        """So many of `seen`, or fewer where much is sky."""
+        found = [self.seen(drawn) for _ in range(3 * count)]
+        return [place for place in found if place][:count]
