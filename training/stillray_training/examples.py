@@ -28,12 +28,12 @@ from stillray.pipeline.denoiser import Denoiser
 from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
 from stillray.stages.state import History, Prepared
-from stillray_training.blocks import alike_frames, frames_of, mean_frame, read_blocks
+from stillray_training.blocks import alike_frames, mean_frame
 from stillray_training.film import DEVIATIONS, film_variance, frame_through_film, through_film
 from stillray_training.quiet import fireflies, quiet_frame, uneven_frame
+from stillray_training.rendered import Rendered, read_rendered
 from stillray_training.shade import moving_shade
 from stillray_training.simulate.sequence import is_complete
-from stillray_training.targets import read_filter, read_target
 
 STARTS = (1, 3, 8)  # frames accumulated before the last one is learned from
 #: How examples differ, and how often a patch is of that kind.
@@ -106,33 +106,24 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Examp
     InputError
         The sequence lacks its frames or its reference.
     """
-    frames = frames_of(sequence)
-    if not frames:
-        raise InputError(f"{sequence}: must hold frames, frame_0000.exr and on")
-    reference, spp = read_target(sequence)
-    examples = _all_examples(sequence, frames, reference, spp, spec, strips)
-    rendered = read_filter(sequence)
+    rendered = read_rendered(sequence, spec.training)
+    # of its own for every sequence, the same every time
+    rng = np.random.default_rng([spec.training.seed, zlib.crc32(sequence.name.encode())])
     return [
-        replace(example, sequence=sequence.name, rendered_spread=rendered) for example in examples
+        replace(example, sequence=sequence.name, rendered_spread=rendered.spread)
+        for example in _all_examples(rendered, spec, strips, rng)
     ]
 
 
 def _all_examples(
-    sequence: Path,
-    frames: list[Frame],
-    reference: np.ndarray,
-    spp: float,
-    spec: ModelSpec,
-    strips: Strips,
+    rendered: Rendered, spec: ModelSpec, strips: Strips, rng: np.random.Generator
 ) -> list[Example]:
-    # of its own for every sequence, the same every time
-    rng = np.random.default_rng([spec.training.seed, zlib.crc32(sequence.name.encode())])
+    frames, blocks, reference = rendered.frames, rendered.blocks, rendered.reference
     examples = []
     alone = spec.training.alone
     for count in STARTS[:1] if alone else STARTS:
         example = _example(frames[-count:], reference, spec, strips)
-        examples.append(replace(example, spp=spp, frames=count))
-    blocks = read_blocks(sequence, frames[-1], spp)
+        examples.append(replace(example, spp=rendered.spp, frames=count))
     if len(blocks) == 1:
         quiet = _example([quiet_frame(frames[-1], reference, rng)], reference, spec, strips)
         return [*examples, replace(quiet, kind=QUIET)]
@@ -336,10 +327,11 @@ def previous_outputs(sequence: Path, denoiser: Denoiser, strips: Strips) -> dict
         By how many frames are accumulated: radiance of the previous output at the pixels of the
         last frame, and how much of it is valid.
     """
-    spread = read_filter(sequence)
-    frames = [replace(frame, filter_spread=spread) for frame in frames_of(sequence)]
+    spec = denoiser.model.spec
+    rendered = read_rendered(sequence, spec.training)
+    frames = [replace(frame, filter_spread=rendered.spread) for frame in rendered.frames]
     remembered = {}
-    family = kernels_of(denoiser.model.spec)
+    family = kernels_of(spec)
     for count in STARTS[1:]:  # one frame has no past
         denoiser.reset()
         for frame in frames[-count:-1]:

@@ -511,6 +511,8 @@ class Training:
     paint_share: float = 0.0
     # share of patches of a recurrent model with fireflies, [0, 1]
     firefly_share: float = 0.0
+    # share of sequences into which small lamps are painted, of models of patches, [0, 1]
+    lamp_share: float = 0.0
     frames: int = 1  # that a recurrent model is unrolled over
     warm_frames: int = 0  # most frames before those, which are run and not learned from
     weight_decay: float = 0.0  # decoupled, see `torch.optim.AdamW`; >= 0
@@ -529,7 +531,7 @@ class Training:
             _within(f"training.{key}", getattr(self, key), 0, 1e3)
         for key in (
             "quiet_power", "average", "still_share", "quiet_share", "drop_feature", "plain_share",
-            "shade_share", "paint_share", "firefly_share",
+            "shade_share", "paint_share", "firefly_share", "lamp_share",
         ):  # fmt: skip
             _within(f"training.{key}", getattr(self, key), 0, 1)
         for key in ("steps", "batch", "patch", "frames"):
