@@ -10,6 +10,7 @@ import numpy as np
 from stillray.families.feature_reconstruction import Rules
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
 from stillray.model_spec.loader import BilateralGrids, FusedKernels, PyramidKernels, Temporal
+from stillray.stages import lamps
 from stillray.stages import relief as stage
 
 
@@ -469,6 +470,59 @@ def _softmax(logits: np.ndarray) -> np.ndarray:
     """Of logits and of one more before them, which is 0."""
     weights = np.exp(np.concatenate([np.zeros_like(logits[:1]), logits]))
     return np.asarray(weights / weights.sum(0))
+
+
+def restored_lamps(image, prepared) -> np.ndarray:
+    """`stages.lamps`: the picture, pixel by pixel; arguments as it takes them."""
+    height, width = image.shape[:2]
+    rec709 = np.array([0.2126, 0.7152, 0.0722])
+    radiance = prepared.history.mean[..., :3].astype(np.float64)
+    if prepared.remodulation_albedo is not None:
+        radiance = radiance * prepared.remodulation_albedo
+    samples = radiance @ rec709
+    exposure = prepared.history.exposure
+    picture = image.astype(np.float64) @ rec709 + lamps.DARKEST / exposure
+    result = image.astype(np.float64)
+    opened = [_opened(samples, picture, block) for block in lamps.BLOCKS]
+    for y, x in np.ndindex(height, width):
+        best, share = 0.0, 0.0
+        most = lamps.MOST * _around(picture[..., None], y, x, lamps.AROUND // 2).mean()
+        for block, found in zip(lamps.BLOCKS, opened, strict=True):
+            level = min(found[y, x], most)
+            above = level / picture[y, x] - block.brighter
+            own = min(max(above / (lamps.FADE * block.brighter), 0), 1)
+            if own > 0 and block.strewn < 1:
+                around = _strewn(samples, picture, found > 0, block, (y, x))
+                own *= min(max(2 - 2 * around / block.strewn, 0), 1)
+            if own * (level - picture[y, x]) > share * (best - picture[y, x]):
+                best, share = level, own
+        if share > 0:
+            result[y, x] *= 1 - share
+            result[y, x] += share * radiance[y, x] * best / samples[y, x]
+    return result
+
+
+def _opened(samples: np.ndarray, picture: np.ndarray, block: lamps.Block) -> np.ndarray:
+    height, width = samples.shape
+    result = np.zeros_like(samples)
+    for y, x in np.ndindex(max(height - block.height + 1, 0), max(width - block.width + 1, 0)):
+        place = slice(y, y + block.height), slice(x, x + block.width)
+        least = samples[place].min()
+        alike = samples[place].max() <= block.alike * least
+        if alike and least > block.brighter * picture[place].max():
+            result[place] = np.maximum(result[place], least)
+    return result
+
+
+def _strewn(samples, picture, in_blocks, block: lamps.Block, at: tuple[int, int]) -> float:
+    """Share of pixels around that are bright and not beside a block; none beyond the frame."""
+    height, width = samples.shape
+    reach, found = lamps.AROUND // 2, 0
+    for y in range(max(at[0] - reach, 0), min(at[0] + reach + 1, height)):
+        for x in range(max(at[1] - reach, 0), min(at[1] + reach + 1, width)):
+            beside = in_blocks[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].any()
+            found += not beside and samples[y, x] > block.brighter * picture[y, x]
+    return found / lamps.AROUND**2
 
 
 def relief(image, prepared, window: float) -> np.ndarray:

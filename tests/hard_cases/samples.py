@@ -257,8 +257,6 @@ _FEW_LAMPS = "few small lamps are in view of what it learned from: what is far b
     "a lamp of 4x3 pixels on a wall of 4 samples, one frame",
     "share of its light lost",
     0.25,
-    kpyr_5=_FEW_LAMPS,
-    kpyr_5s=_FEW_LAMPS,
     nbg_2x1=_FEW_LAMPS,
     nbg_2x3=_FEW_LAMPS,
     nbg_7x3=_FEW_LAMPS,

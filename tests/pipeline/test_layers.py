@@ -70,6 +70,17 @@ def test_layers_add_up_of_any_pixel_filter(spread):
             np.testing.assert_allclose(added(layers), image, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("model", ["kpyr-5s", "kpyr-5"])
+def test_layers_add_up_where_a_lamp_is_put_back(model):
+    """And what is put back is not in what the next frame remembers of any of them."""
+    with stillray.Denoiser(model) as denoiser:
+        for index, frame in enumerate(frames(4)):
+            frame.color[20:23, 10 + 5 * index : 14 + 5 * index] = (30, 25, 20)  # new each time
+            image, layers = denoiser.denoise_layers(frame, split(frame.color, index))
+            assert image[20:23, 10 + 5 * index : 14 + 5 * index, 0].mean() > 12
+            np.testing.assert_allclose(added(layers), image, rtol=1e-5, atol=1e-5)
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_beauty_is_the_same_with_layers_and_without(model):
     with stillray.Denoiser(model) as alone, stillray.Denoiser(model) as together:

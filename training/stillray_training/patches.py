@@ -13,7 +13,7 @@ from stillray.stages import features as encode
 from stillray_training.examples import NOISY, QUIET, STILL, Example
 
 _SAMPLES_KNOWN = 0.5  # share of patches whose frames say how many samples they have
-_FILTER_KNOWN = 0.75  # and, to networks that ask, what pixel filter they have
+_FILTER_KNOWN = 0.6  # and, to networks that ask, what pixel filter they have
 _AT_BORDER = 0.3  # share of patches that touch the top or bottom, and the left or right
 #: Share of patches that are the one of two with more edges: errors are there.
 BUSIER = 0.5

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from stillray.frame import Frame
+from stillray_training.film import DEVIATIONS, film_weights
 
 _NOISE = (0.0, 0.1, 0.25, 0.5)  # shares of the frame's noise that are kept
 # Fireflies a pixel. A pixel's share of the loss is small: of 2e-4, kpyr-5s learned to leave pixels
@@ -20,6 +21,7 @@ _MOST = 1e-2
 _BRIGHTER = (1.0, 6.0)  # powers of ten above the frame's median
 _DARK = 0.02  # albedo below which a texture's noise is not looked for
 _SIZES = ((1, 2, 3), (0.6, 0.25, 0.15))  # edges of clusters in pixels, and how often they come
+_EVEN = 2  # edge up to which their pixels are alike
 
 
 def quiet_frame(frame: Frame, reference: np.ndarray, rng: np.random.Generator) -> Frame:
@@ -110,7 +112,20 @@ def fireflies(reference: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         size = int(rng.choice(_SIZES[0], p=_SIZES[1]))
         tint = rng.random(3) ** 2 if rng.random() < 0.5 else np.ones(3)
         value = usual * 10 ** rng.uniform(*_BRIGHTER) * tint
-        corner = int(rng.integers(width)), int(rng.integers(height))
-        end = corner[0] + size - 1, corner[1] + size - 1
-        cv2.rectangle(light, corner, end, value.tolist(), cv2.FILLED)
+        top, left = int(rng.integers(height)), int(rng.integers(width))
+        part = light[top : top + size, left : left + size]
+        shape = _cluster(size, rng)[: part.shape[0], : part.shape[1], None]
+        part[:] = shape * value
     return light
+
+
+def _cluster(size: int, rng: np.random.Generator) -> np.ndarray:
+    """The shape of a cluster of 1 to 3 pixels along each edge, 1 at its brightest.
+
+    One pixel, or as a pixel filter spreads a sample: between four pixels evenly, around the middle
+    of one less to the sides. Blocks of 3x3 that are bright alike are lamps.
+    """
+    if size <= _EVEN:
+        return np.ones((size, size))
+    weights = film_weights(rng.uniform(*DEVIATIONS))[1:-1]
+    return np.outer(weights, weights) / weights.max() ** 2

@@ -25,6 +25,7 @@ from stillray_export.frame_graph.albedo import accumulate_albedo
 from stillray_export.frame_graph.dilation import follow_nearer
 from stillray_export.frame_graph.encode import Prepared, feature_planes, filter_sharpness
 from stillray_export.frame_graph.exposure import depth_scale, frame_exposure, steady_exposure
+from stillray_export.frame_graph.lamps import restored
 from stillray_export.frame_graph.light import local_luminance, tone_map
 from stillray_export.frame_graph.lookup import grid
 from stillray_export.frame_graph.recall import forget_uncovered, recall
@@ -168,9 +169,8 @@ class FrameGraph(nn.Module):
         if told:
             buffers = replace(buffers, filter_spread=more[0].amax())
         prepared, sample, state = self.prepare(buffers, past)
-        image = self.reconstruct(prepared, sample)
-        image = image[0].permute(1, 2, 0)
-        left = [state.mean, state.guides, image.clone(), state.noise, state.numbers]
+        filtered, image = (each[0].permute(1, 2, 0) for each in self.reconstruct(prepared, sample))
+        left = [state.mean, state.guides, filtered.clone(), state.noise, state.numbers]
         return image, *left, *([] if state.albedo is None else [state.albedo])
 
     def prepare(self, frame: Buffers, past: State) -> tuple[Prepared, Tensor, State]:
@@ -297,8 +297,11 @@ class FrameGraph(nn.Module):
         found = (blocks[:, :1] > 0).to(torch.float32).mean()
         return held, trusted, noise, trusted.mean() * found
 
-    def reconstruct(self, frame: Prepared, sample: Tensor) -> Tensor:
-        """The picture, ``(1, 3, h, w)``; ``sample`` is irradiance and weight ``(1, 4, h, w)``."""
+    def reconstruct(self, frame: Prepared, sample: Tensor) -> tuple[Tensor, Tensor]:
+        """What is remembered of the picture, and the picture, ``(1, 3, h, w)`` both.
+
+        ``sample`` is irradiance and weight ``(1, 4, h, w)``.
+        """
         height, width = frame.held.shape[2:]
         features = feature_planes(frame, self.spec)
         count = features.shape[1]
@@ -320,7 +323,12 @@ class FrameGraph(nn.Module):
             sharpness = filter_sharpness(frame.filter_spread)
             tone = toned * sharpness * exposure.reshape(1, 1, 1, 1)
         image = resolve(image, weights, frame.previous, frame.valid, tone)
-        return image * self._relief(frame, image) if self.spec.relief.window else image
+        if self.spec.relief.window:
+            image = image * self._relief(frame, image)
+        if not self.spec.lamps.restored:
+            return image, image
+        own = sample[:, :3] * frame.divisor
+        return image, restored(image, own, self._exposure(frame))
 
     def _relief(self, frame: Prepared, image: Tensor) -> Tensor:
         """What the picture is multiplied by, see `stillray.stages.relief`."""

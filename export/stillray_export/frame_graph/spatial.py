@@ -60,7 +60,8 @@ class SpatialGraph(nn.Module):
             moves=none.amax(),
         )
         prepared, sample = alone(self.frame, buffers)
-        return encoded(self.frame.reconstruct(prepared, sample), self.curve)
+        _, image = self.frame.reconstruct(prepared, sample)
+        return encoded(image, self.curve)
 
 
 def alone(model: FrameGraph, frame: Buffers) -> tuple[Prepared, Tensor]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from stillray.arrays.extend import cut
@@ -28,7 +29,7 @@ from stillray.families.target_grid import Grid, dilated, recalled
 from stillray.families.target_planes import Known, Surfaces, log_depth, planes_by_name
 from stillray.frame import Frame
 from stillray.model_spec.loader import BranchNetwork, FeatureFilters, ModelSpec
-from stillray.stages import features
+from stillray.stages import features, lamps
 from stillray.stages.accumulate import bounded
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.repair import Buffers, all_within, repair_feature
@@ -185,6 +186,7 @@ class FeatureFiltersModel:
             Stage("encode", True, f"{len(self.spec.network.features)} planes for the network"),
             Stage("network", True, self.spec.name),
             Stage("reconstruct", True, "filters by distances of features, at every resolution"),
+            *([Stage("lamps", True, lamps.TOLD)] if self.spec.lamps.restored else []),
             Stage("layers", False, "none are filtered by this model"),
             Stage(
                 "remember",
@@ -204,15 +206,32 @@ class FeatureFiltersModel:
         with timed(context.timings, "reconstruct"):
             image, kept = reconstruct(seen.frame, seen.past, outputs, self.rules, context.strips)
             image = cut(image, seen.grid.shape, context.strips)
+        found: lamps.Restored | None = None
+        if plan.runs("lamps"):
+            with timed(context.timings, "lamps"):
+                found = self._lamps(image, plan, seen.exposure, context)
+                before = found.put_back(image, plan.buffers.color, None, self.scale)
 
         def finish() -> State:
             temporal: Remembered | None = None
             if plan.runs("remember"):
                 with timed(context.timings, "remember"):
                     temporal = _remember(seen, image, kept, context.strips)
+                    if found is not None:
+                        found.take_back(temporal.output, before, self.scale)
             return State(shape=plan.shape, temporal=temporal)
 
         return Step(image=image, finish=finish)
+
+    def _lamps(
+        self, image: np.ndarray, plan: UpscalePlan, exposure: float, context: Context
+    ) -> lamps.Restored:
+        """The frame's pixels whose light is put back, into all of the picture's that lie there."""
+        color, (height, width) = plan.buffers.color, plan.shape
+        if self.scale > 1:
+            image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+        samples, picture = (features.luminance(each) for each in (color, image))
+        return lamps.find(samples, picture, exposure, context.strips)
 
     def _see(self, plan: UpscalePlan, context: Context) -> _Seen:
         """A frame and its past at the picture's pixels."""

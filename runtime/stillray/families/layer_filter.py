@@ -9,6 +9,7 @@ to the color, what comes out adds up to the denoised color, to float rounding.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
@@ -25,6 +26,7 @@ from stillray.stages import accumulate as acc
 from stillray.stages import previous_output
 from stillray.stages import reproject as rep
 from stillray.stages.decide import TemporalPlan
+from stillray.stages.lamps import Restored, own_light
 from stillray.stages.prepare import discontinuities
 from stillray.stages.relief import multiply
 from stillray.stages.repair import fill
@@ -56,6 +58,23 @@ class Kernels(Protocol):
         ...
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shading:
+    """What was put back into a picture after it was filtered.
+
+    Attributes
+    ----------
+    gain : (h, w) float32 or None
+        What it was multiplied by, see `stillray.stages.relief`; None where it was not.
+    restored
+        The light of small lamps then, and what was there before, see `stillray.stages.lamps`;
+        None where nobody looked for it.
+    """
+
+    gain: np.ndarray | None = None
+    restored: tuple[Restored, np.ndarray] | None = None
+
+
 class FilteredLayers:
     """Filters layers of a frame that has just been denoised, and collects what they remember.
 
@@ -67,8 +86,8 @@ class FilteredLayers:
         The frame as it was planned, and prepared with its ``sample``.
     outputs
         Of the network, for each view of the frame whose pictures were averaged.
-    gain : (h, w) float32 or None
-        What the picture was multiplied by, see `stillray.stages.relief`; None where it was not.
+    shading
+        What was put back into the picture.
     context
         Where the work runs.
     """
@@ -79,11 +98,11 @@ class FilteredLayers:
         plan: TemporalPlan,
         prepared: Prepared,
         outputs: Sequence[Sequence[np.ndarray]],
-        gain: np.ndarray | None,
+        shading: Shading,
         context: Context,
     ) -> None:
         self._kernels, self._plan, self._prepared = kernels, plan, prepared
-        self._outputs, self._gain, self._strips = outputs, gain, context.strips
+        self._outputs, self._shading, self._strips = outputs, shading, context.strips
         #: By name, what the next frame needs.
         self.pasts: dict[str, LayerPast] = {}
 
@@ -108,8 +127,8 @@ class FilteredLayers:
         image = mean_picture(
             self._kernels.reconstruct(own, outputs, self._strips, {}) for outputs in self._frozen
         )
-        if self._gain is not None and layer.shaded:
-            gain, strips = self._gain, self._strips
+        if self._shading.gain is not None and layer.shaded:
+            gain, strips = self._shading.gain, self._strips
 
             def shade(rows: slice) -> None:
                 multiply(image[rows], gain[rows], strips.workspace)
@@ -120,6 +139,10 @@ class FilteredLayers:
             if self._plan.wants.previous_output:
                 output = previous_output.keep(image, self._strips)
             self.pasts[name] = LayerPast(mean=mean, output=output)
+        if self._shading.restored is not None:  # not remembered: as of the picture
+            restored, _ = self._shading.restored
+            light = own_light(own.sample, own.mean)
+            restored.put_back(image, light, own.remodulation_albedo)
         return image
 
     def _demodulated(

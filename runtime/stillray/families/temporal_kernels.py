@@ -18,12 +18,12 @@ from stillray.arrays.strips import STRIP_PIXELS, Strips
 from stillray.arrays.tiles import Tile
 from stillray.arrays.watch import Watch
 from stillray.families.contract import Context, Request, State, Step, Traits
-from stillray.families.layer_filter import FilteredLayers
+from stillray.families.layer_filter import FilteredLayers, Shading
 from stillray.families.network_input import NetworkInput
 from stillray.families.views import VIEWS, View, mean_picture
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
-from stillray.stages import features, previous_output, relief
+from stillray.stages import features, lamps, previous_output, relief
 from stillray.stages.decide import TemporalPlan, Wants, decide
 from stillray.stages.means import Means
 from stillray.stages.plan import Plan, Stage
@@ -178,6 +178,7 @@ class TemporalKernels(ABC):
             Stage("upscale", False, "the model's scale is 1"),
             Stage("remodulate", modulates, why),
             *self._relief(frame),
+            *([Stage("lamps", True, lamps.TOLD)] if self.spec.lamps.restored else []),
             Stage("layers", layers > 0, f"{layers} other layers" if layers else "none are given"),
             Stage("keep_output", remembers, why_remember),
         ]
@@ -200,19 +201,30 @@ class TemporalKernels(ABC):
         else:
             keep = outputs if plan.runs("layers") else None
             image = self._picture(prepared, previous, context, keep)
-        gain: np.ndarray | None = None
-        if plan.runs("relief"):
-            with timed(context.timings, "relief"):
-                window, strips = self.spec.relief.window, context.strips
-                gain = relief.shade(image, prepared, window, strips, context.workspace)
+        shading = self._shading(plan, image, prepared, context)
         layers: FilteredLayers | None = None
         if outputs:
-            layers = FilteredLayers(self, early, prepared, outputs, gain, context)
+            layers = FilteredLayers(self, early, prepared, outputs, shading, context)
 
         def finish() -> State:
-            return self._remember(plan, prepared, image, layers, context)
+            return self._remember(plan, prepared, (image, shading), layers, context)
 
         return Step(image=image, finish=finish, filter_layer=layers)
+
+    def _shading(
+        self, plan: KernelPlan, image: np.ndarray, prepared: Prepared, context: Context
+    ) -> Shading:
+        """What is put back into a picture, which is changed."""
+        gain: np.ndarray | None = None
+        restored: tuple[lamps.Restored, np.ndarray] | None = None
+        strips, workspace = context.strips, context.workspace
+        if plan.runs("relief"):
+            with timed(context.timings, "relief"):
+                gain = relief.shade(image, prepared, self.spec.relief.window, strips, workspace)
+        if plan.runs("lamps"):
+            with timed(context.timings, "lamps"):
+                restored = lamps.restore(image, prepared, strips, workspace)
+        return Shading(gain=gain, restored=restored)
 
     def prepare(self, plan: KernelPlan, context: Context) -> tuple[Prepared, np.ndarray | None]:
         """A frame as it is before the network, and the previous output at its pixels."""
@@ -338,15 +350,19 @@ class TemporalKernels(ABC):
         self,
         plan: KernelPlan,
         prepared: Prepared,
-        image: np.ndarray,
+        shaded: tuple[np.ndarray, Shading],
         layers: FilteredLayers | None,
         context: Context,
     ) -> State:
+        image, shading = shaded
         output: np.ndarray | None = None
         if plan.runs("keep_output"):
             with timed(context.timings, "keep_output"):
                 back_buffer = history_of(context.back_buffer)
                 output = previous_output.keep(image, context.strips, back_buffer)
+                if shading.restored is not None:
+                    restored, before = shading.restored
+                    restored.take_back(output, before)
         pasts = {} if layers is None else layers.pasts
         history = replace(prepared.history, output=output, layers=pasts)
         return State(shape=plan.before_network.shape, temporal=history)

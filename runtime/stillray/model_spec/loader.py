@@ -122,6 +122,13 @@ class Relief:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Lamps:
+    """Light of small lamps that is put back, see `stillray.stages.lamps`."""
+
+    restored: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class Transfer:
     """From scene-linear irradiance to network features."""
 
@@ -562,6 +569,7 @@ class ModelSpec:
     training: Training
     # Models that were exported before it was known have none.
     relief: Relief = Relief()
+    lamps: Lamps = Lamps()
     # How it differs from the paper it follows, "what the paper says; here what is done". Prose:
     # no part of what a model is, and models that were exported before it was known lack it.
     differs: tuple[str, ...] = dataclasses.field(default=(), compare=False)
@@ -611,7 +619,8 @@ class ModelSpec:
     def to_json(self) -> str:
         """The spec as JSON text, as it is embedded in a model file."""
         data = dataclasses.asdict(self)
-        for name, unsaid in (("differs", ()), ("relief", Relief())):  # as before they were known
+        # as before they were known
+        for name, unsaid in (("differs", ()), ("relief", Relief()), ("lamps", Lamps())):
             if getattr(self, name) == unsaid:
                 del data[name]
         return json.dumps(data, sort_keys=True)

@@ -104,6 +104,11 @@ def stage_costs(info: ModelInfo, frame: Frame, precision: str = "float32") -> di
     }
 
 
+#: Of small lamps where none was lost: light times albedo, two luminances; for three sizes of blocks
+#: the least sample and the largest pixel of the picture, of four comparisons each; which are lost.
+LAMPS = (3 + 2 * 5 + 1 + 3 * 2 * 4 + 4 * 2, 4 + 3 + 3 + 2 + 2)
+
+
 def _each_target_pixel(family: FeatureFiltersModel, frame: Frame) -> dict[str, tuple[float, float]]:
     """Operations and planes of a stage, a pixel of the picture."""
     spec = family.spec
@@ -126,6 +131,7 @@ def _each_target_pixel(family: FeatureFiltersModel, frame: Frame) -> dict[str, t
         # nine channels toned, counts as sines and cosines
         "encode": (9 * (4 + EXP) + 10 * EXP, enlarged + remembered + features),
         "reconstruct": (operations, planes),
+        "lamps": (share * LAMPS[0] + 3, 3 + share * LAMPS[1]),
         "remember": (EXP, 2 * remembered),
     }
 
@@ -169,6 +175,7 @@ def _each_pixel(family: TemporalKernels, frame: Frame) -> dict[str, tuple[float,
         "encode": (3 * (4 + EXP) + 4 + 2, 4 + 1 + albedo + surfaces + features),
         "reconstruct": (operations, planes),
         "remodulate": (3, 3),
+        "lamps": LAMPS,
         # three window sums, what pixels count, two luminances and what was taken; fifteen products
         # and their sums; three slopes between blocks, the gain of three channels
         "relief": (

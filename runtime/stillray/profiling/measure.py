@@ -29,7 +29,7 @@ ORDER = (
     "read", "inspect", "repair", "remove_outliers", "demodulate", "expose", "specular_motion",
     "surface_guides", "reproject", "reject_history", "accumulate", "accumulate_albedo",
     "resample_output", "enlarge", "regress", "warp", "encode", "network", "filter", "reconstruct",
-    "remodulate", "relief", "layers", "learn", "keep_output", "remember",
+    "remodulate", "relief", "lamps", "layers", "learn", "keep_output", "remember",
     FRAME, REST, "write",
 )  # fmt: skip
 _SETTLING = 2  # frames that still allocate: two histories change places

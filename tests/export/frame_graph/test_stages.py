@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ from stillray.stages import (  # noqa: E402
     demodulate,
     features,
     history_rejection,
+    lamps,
     motion_dilation,
     previous_output,
     repair,
@@ -43,6 +45,7 @@ from stillray_export.frame_graph import (  # noqa: E402
     reprojection,
     windows,
 )
+from stillray_export.frame_graph import lamps as graph_lamps  # noqa: E402
 from stillray_export.frame_graph import repair as graph_repair  # noqa: E402
 from stillray_export.frame_graph.moving import sequence  # noqa: E402
 from stillray_training.decoders.demodulate import divisor  # noqa: E402
@@ -372,6 +375,27 @@ def test_albedo_is_accumulated(size, held):
     np.testing.assert_allclose(image(got), modulator, atol=1e-5)
     np.testing.assert_allclose(image(mean), remembered[..., :3], atol=1e-5)
     assert frames == min(held, 2) + 1
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_small_lamps_are_put_back(size):
+    rng = np.random.default_rng(9)
+    mean = np.ones((*size, 4), np.float32)
+    mean[..., :3] = rng.exponential(1, (*size, 1)) + 0.1
+    albedo = rng.uniform(0.2, 1, (*size, 3)).astype(np.float32)
+    for _ in range(8):
+        y, x = (int(rng.integers(length)) for length in size)
+        mean[y : y + 3, x : x + 3, :3] = rng.uniform(5, 200)
+    prepared = SimpleNamespace(
+        history=SimpleNamespace(mean=mean, exposure=0.5),
+        sample=None,
+        remodulation_albedo=albedo,
+    )
+    wanted = albedo.copy()
+    lamps.restore(wanted, prepared, Strips(1), Workspace())
+    got = graph_lamps.restored(planes(albedo), planes(mean[..., :3] * albedo), scalar(0.5))
+    assert np.any(wanted > 2 * albedo) or min(size) < 3
+    np.testing.assert_allclose(image(got), wanted, rtol=1e-5)
 
 
 @pytest.mark.parametrize(("name", "size"), [("kpyr-5", (61, 90)), ("kpyr-5s", (48, 77))])
