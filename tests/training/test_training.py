@@ -240,6 +240,7 @@ def test_a_batch_depends_on_seed_and_step_only(data, small):
 def test_augmentation_keeps_target_and_input_together(data, small):
     # the mean of many noisy samples is the reference, whatever the turn, order, gain and albedo
     examples = load_examples(find_sequences(data)[0], small, Strips(1))
+    examples = [example for example in examples if example.kind != QUIET]  # some have fireflies
     ratios = []
     for step in range(20):
         batch = PatchSampler(examples, small).batch(step)
