@@ -62,7 +62,8 @@ class Frame:
     filter_spread : number, optional
         Standard deviation of the renderer's pixel filter, in pixels, see
         `stillray.pixel_filter.filter_spread`: 0.29 of a box, 0.42 of Blender's usual one. It says
-        how far a glint or a bright edge reaches.
+        how far a glint or a bright edge reaches. Where it is not given, models for stills look
+        whether neighbouring pixels share their noise (`stillray.stages.shared_noise`).
     alpha : (h, w), optional
         What the picture covers, in [0, 1], handed over with the clean picture. Color is filtered
         as it is, so that it should be multiplied by it, as renderers give it.

@@ -210,9 +210,9 @@ def test_a_profile_is_drawn(tmp_path):
     image = cv2.imread(str(path))
     assert image.shape[1] > 600
     # a stage has its colour whatever else runs; the network's bar is the wider
+    palette = [c for kind in ("tab20", "tab20b") for c in matplotlib.colormaps[kind].colors]
     network, reconstruct = (
-        np.round(255 * np.array(matplotlib.colormaps["tab20"].colors[ORDER.index(name)]))
-        for name in ("network", "reconstruct")
+        np.round(255 * np.array(palette[ORDER.index(name)])) for name in ("network", "reconstruct")
     )
     wide, narrow = (
         int((np.abs(image[..., ::-1] - colour).max(axis=-1) < 3).sum())

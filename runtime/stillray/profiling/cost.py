@@ -150,6 +150,8 @@ def _each_pixel(family: TemporalKernels, frame: Frame) -> dict[str, tuple[float,
     return {
         "inspect": (2 * buffers, buffers),
         "repair": (3 * buffers, 2 * buffers),
+        # of some rows and columns alone; next to nothing
+        "find_filter": (1, buffers / 8),
         # limit, divide and luminance
         "demodulate": (2 * albedo + 3 + 5, 3 + 2 * albedo + 1),
         "expose": (local + 2, 2),

@@ -26,10 +26,11 @@ from stillray.profiling.machine import output_of, peak_resident
 TOTAL, REST = "total", "rest"
 #: The stages in the order of a frame's way, files included.
 ORDER = (
-    "read", "inspect", "repair", "remove_outliers", "demodulate", "expose", "specular_motion",
-    "surface_guides", "reproject", "reject_history", "accumulate", "accumulate_albedo",
-    "resample_output", "enlarge", "regress", "warp", "encode", "network", "filter", "reconstruct",
-    "remodulate", "relief", "lamps", "layers", "learn", "keep_output", "remember",
+    "read", "inspect", "repair", "remove_outliers", "find_filter", "demodulate", "expose",
+    "specular_motion", "surface_guides", "reproject", "reject_history", "accumulate",
+    "accumulate_albedo", "resample_output", "enlarge", "regress", "warp", "encode", "network",
+    "filter", "reconstruct", "remodulate", "relief", "lamps", "layers", "learn", "keep_output",
+    "remember",
     FRAME, REST, "write",
 )  # fmt: skip
 _SETTLING = 2  # frames that still allocate: two histories change places

@@ -61,9 +61,9 @@ def _draw_bars(axes: Axes, results: Sequence[Result]) -> None:
 
     present = {name for result in results for name in result.run.stages()}
     names = [name for name in ORDER if name in present and name not in _FILES]
-    colour_of = matplotlib.colormaps["tab20"]
-    # no model has all stages: those that share a colour, the first and last, are files but for one
-    colours = {name: colour_of(index % colour_of.N) for index, name in enumerate(ORDER)}
+    maps = [matplotlib.colormaps[kind] for kind in ("tab20", "tab20b")]
+    palette = [colour_of(index) for colour_of in maps for index in range(colour_of.N)]
+    colours = dict(zip(ORDER, palette, strict=False))
     longest = max(result.run.stages()[TOTAL].median for result in results)
     for row, result in enumerate(results):
         stages = result.run.stages()

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 from stillray.arrays.strips import Strips
 from stillray.frame import Frame
-from stillray.model_spec.loader import ModelSpec
+from stillray.model_spec.loader import PIXEL_FILTER, ModelSpec
 from stillray.stages.outliers import remove_outliers
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.repair import Buffers
+from stillray.stages.shared_noise import shared_spread
 from stillray.stages.specular_motion import has_mirrors
 from stillray.stages.state import History, Remembered
 from stillray.timing import timed
@@ -109,6 +110,12 @@ def decide(
     if deviations:
         with timed(timings, "remove_outliers"):
             buffers = replace(buffers, color=remove_outliers(buffers.color, deviations, strips))
+    asks = PIXEL_FILTER in spec.network.features
+    told = buffers.filter_spread is not None
+    if asks and not told:
+        with timed(timings, "find_filter"):
+            spread = shared_spread(buffers.color, buffers.albedo)
+            buffers = replace(buffers, filter_spread=spread)
     found = past.leaves if isinstance(past, TemporalPlan) else None
     if isinstance(past, History):
         found = past.remembered
@@ -119,6 +126,7 @@ def decide(
             Stage("inspect", True, "values tell what a frame calls for"),
             Stage("repair", not whole, _REPAIR[whole]),
             *([Stage("remove_outliers", True, _OUTLIERS)] if deviations else []),
+            *([Stage("find_filter", not told, _FILTER[told])] if asks else []),
             *facts.of_this_frame(),
             *facts.of_the_past(),
         ),
@@ -132,6 +140,10 @@ def decide(
 _REPAIR = {
     True: "every value is finite and in its range",
     False: "a value is NaN, infinite or out of its range, or a pixel has no samples",
+}
+_FILTER = {
+    True: "the renderer's pixel filter is told",
+    False: "nobody says the renderer's pixel filter: do neighbours share their noise?",
 }
 _OUTLIERS = "the model asks for it"
 _REJECT = "what the past says is compared with this frame's samples"
