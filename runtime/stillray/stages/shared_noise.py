@@ -19,7 +19,7 @@ SHARED_SPREAD = 0.5
 #: Blender's frames of 1 to 256 samples have 0.02 to 0.12, through a Gaussian of 0.5 pixels 0.29 to
 #: 0.4 (docs/decisions.md).
 AGREEMENT = 0.2
-_PAIRS = 64  # of neighbouring rows, and of columns, that are looked at
+_PAIRS = 32  # of neighbouring rows, and of columns, that are looked at
 _LEAST = 16  # pixels along each axis: of fewer chance decides
 _WHITE = 0.15  # added to the albedo, as surfaces reflect that besides
 _DARK = 0.1  # added to light relative to its median
