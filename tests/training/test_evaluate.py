@@ -14,6 +14,7 @@ from stillray.errors import InputError
 from stillray.io.exr.read_write import read_exr, write_channels
 from stillray_training.evaluate import __main__ as evaluate
 from stillray_training.evaluate import methods, report, scores
+from stillray_training.film import film_variance, through_film
 from stillray_training.peers import PEERS, find_peer
 from tests.conftest import clean_color, make_frame
 
@@ -351,3 +352,22 @@ def test_models_are_told_the_filter_that_files_have_then_the_one_that_is_named(
     cases = evaluate.find_all([str(tmp_path)], pixel_filter=option)
     told = [case.read()[0][-1].filter_spread for case in cases]
     assert told == [each and pytest.approx(each) for each in expected]
+
+
+def test_frames_and_references_go_through_a_film_whose_samples_count_in_several_pixels(tmp_path):
+    write_sequence(tmp_path / "a", 2, [1])
+    plain, soft = (
+        evaluate.find_all([str(tmp_path)], pixel_filter="box", film=film)[0].read()
+        for film in (0.0, 0.5)
+    )
+    for before, after in ((plain[0][-1].color, soft[0][-1].color), (plain[1][0], soft[1][0])):
+        np.testing.assert_allclose(after, through_film(before, 0.5))
+        assert np.abs(np.diff(after, axis=0)).mean() < np.abs(np.diff(before, axis=0)).mean()
+    assert plain[0][-1].filter_spread == pytest.approx(12**-0.5)
+    assert soft[0][-1].filter_spread == pytest.approx((1 / 12 + film_variance(0.5)) ** 0.5)
+
+
+@pytest.mark.parametrize("film", [-0.1, 1.5, float("nan")])
+def test_a_film_of_no_width_is_refused(tmp_path, film):
+    with pytest.raises(InputError, match="film must be 0 to 1 pixels"):
+        evaluate.find_all([str(tmp_path)], film=film)

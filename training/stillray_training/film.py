@@ -59,11 +59,9 @@ def frame_through_film(frame: Frame, deviation: float) -> Frame:
 
     Depth and motion are a pixel's own in most renderers and stay.
     """
-    assert frame.albedo is not None
-    assert frame.normal is not None
     return replace(
         frame,
         color=through_film(np.nan_to_num(frame.color), deviation),
-        albedo=through_film(frame.albedo, deviation),
-        normal=through_film(frame.normal, deviation),
+        albedo=None if frame.albedo is None else through_film(frame.albedo, deviation),
+        normal=None if frame.normal is None else through_film(frame.normal, deviation),
     )

@@ -36,6 +36,7 @@ from stillray_training.peers import PEERS
 UNTOLD = "none"
 _PEER_NAMES = [peer.name for peer in PEERS if not peer.halves]
 _METRIC_NAMES = [metric.name for metric in METRICS]
+_WIDEST_FILM = 1.0  # pixels; `stillray_training.film` reaches two
 
 
 def main(
@@ -70,6 +71,13 @@ def main(
             "models are not told what files say, either."
         ),
     ] = None,
+    film: Annotated[
+        float,
+        typer.Option(
+            help="Standard deviation in pixels of a Gaussian film that frames and references go "
+            "through, whose samples count in several pixels, as Mitsuba's of 0.5; 0: none."
+        ),
+    ] = 0.0,
     metrics: Annotated[
         str | None, typer.Option(help=f"Out of {','.join(_METRIC_NAMES)}; default: all but rmse.")
     ] = None,
@@ -93,6 +101,7 @@ def main(
         _listed(only, "only", KINDS) if only else KINDS,
         _counts(stills) if stills else None,
         pixel_filter,
+        film,
     )
     results = evaluate_cases(
         cases, models, peers=chosen, names=names, pictures=pictures, progress=_shown
@@ -125,12 +134,15 @@ def find_all(
     kinds: Collection[str] = KINDS,
     counts: Collection[int] | None = None,
     pixel_filter: str | None = None,
+    film: float = 0.0,
 ) -> list[Case]:
     """Cases of several folders, each ``FOLDER`` or ``LABEL=FOLDER``, see `find_cases`.
 
     ``pixel_filter`` is that of frames whose files do not say, see `parse_filter`; ``none`` keeps
-    from models what files say, too.
+    from models what files say, too. ``film`` is `Case.film`.
     """
+    if not 0 <= film <= _WIDEST_FILM:
+        raise InputError(f"film must be 0 to {_WIDEST_FILM:g} pixels, got {film:g}")
     tells = pixel_filter != UNTOLD
     spread = parse_filter(pixel_filter) if pixel_filter and tells else None
     cases: list[Case] = []
@@ -139,7 +151,7 @@ def find_all(
         if not Path(folder).is_dir():
             raise InputError(f"folder must exist, got {folder}")
         cases += find_cases(Path(folder), label=label, kinds=kinds, counts=counts)
-    return [replace(case, filter_spread=spread, tells_filter=tells) for case in cases]
+    return [replace(case, filter_spread=spread, tells_filter=tells, film=film) for case in cases]
 
 
 def _listed(text: str, option: str, allowed: Collection[str]) -> list[str]:

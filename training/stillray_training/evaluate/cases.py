@@ -8,6 +8,7 @@ holds is what `stillray.io.exr.read_write.read_exr` finds in it.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
@@ -18,6 +19,7 @@ import numpy as np
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr
+from stillray_training.film import film_variance, frame_through_film, through_film
 from stillray_training.simulate.sequence import RECORD
 from stillray_training.targets import read_filter
 
@@ -51,6 +53,9 @@ class Case:
         where nobody knows.
     tells_filter
         Whether models are told of it at all.
+    film
+        Standard deviation of a Gaussian film that frames and references go through, in pixels: its
+        samples count in all pixels that it reaches, see `stillray_training.film`; 0 for none.
     """
 
     kind: str
@@ -60,11 +65,14 @@ class Case:
     references: tuple[Path, ...]
     filter_spread: float | None = None
     tells_filter: bool = True
+    film: float = 0.0
 
     def read(self) -> tuple[list[Frame], list[np.ndarray]]:
         """The frames, and the radiance ``(h, w, 3)`` of the references."""
         frames = [self._frame(path) for path in self.frames]
         references = [read_exr(path).color for path in self.references]
+        if self.film:
+            references = [through_film(reference, self.film) for reference in references]
         if self.kind == "fed":
             frames = [dataclasses.replace(frames[-1], color=references[-1])]
         return frames, references
@@ -75,6 +83,10 @@ class Case:
         if known is None and (path.parent / RECORD).is_file():
             known = read_filter(path.parent)
         known = self.filter_spread if known is None else known
+        if self.film:
+            frame = frame_through_film(frame, self.film)
+            # variances of filters one after the other add up
+            known = None if known is None else math.hypot(known, film_variance(self.film) ** 0.5)
         return dataclasses.replace(frame, filter_spread=known if self.tells_filter else None)
 
 
