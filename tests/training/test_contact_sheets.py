@@ -39,7 +39,8 @@ def test_a_crop_beyond_the_frame_is_refused(place):
 
 
 def test_every_sheet_has_six_places_and_a_name_of_its_own():
-    files = [CROPS, CROPS.with_name("contact_sheets_mirrors.toml")]
+    more = ("mirrors", "film")
+    files = [CROPS, *(CROPS.with_name(f"contact_sheets_{kind}.toml") for kind in more)]
     read = [read_sheets(path) for path in files]
     assert {side * enlargement for side, enlargement, _ in read} == {192}
     sheets = [sheet for _, _, found in read for sheet in found]

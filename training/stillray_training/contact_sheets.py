@@ -150,10 +150,11 @@ def main(
     pixel_filter: Annotated[
         str | None, typer.Option(help="Of frames whose files do not say, as stillray-evaluate's.")
     ] = None,
+    film: Annotated[float, typer.Option(help="As stillray-evaluate's.")] = 0.0,
     crops: Annotated[Path, typer.Option(help="TOML that says where to look.")] = CROPS,
 ) -> None:
     """Write a contact sheet for every frame of the crops file that the folders have."""
-    found = find_all(folders, pixel_filter=pixel_filter)
+    found = find_all(folders, pixel_filter=pixel_filter, film=film)
     cases = {(case.title, case.name): case for case in found}
     side, enlargement, sheets = read_sheets(crops)
     out.mkdir(parents=True, exist_ok=True)
