@@ -38,6 +38,7 @@ from stillray_training.losses import (  # noqa: E402
 )
 from stillray_training.networks.repvgg import without_branches  # noqa: E402
 from stillray_training.patches import PatchSampler  # noqa: E402
+from stillray_training.rendered import read_rendered  # noqa: E402
 from stillray_training.simulate.sequence import write  # noqa: E402
 from stillray_training.start import STARTED_FROM, start_from  # noqa: E402
 from stillray_training.targets import make_target, read_filter, read_target  # noqa: E402
@@ -534,3 +535,15 @@ def test_weights_that_do_not_fit_are_refused(data, small, tmp_path):
 def test_the_command_trains_every_family_but_the_one_that_learns_by_itself(model, error, tmp_path):
     with pytest.raises(InputError, match=error):
         train.main(model, [tmp_path], tmp_path / "run")
+
+
+def test_lamps_are_the_same_with_the_blocks_of_a_sequence_and_without(data, small):
+    recipe = dataclasses.replace(small.training, lamp_share=1.0)
+    sequence = find_sequences(data)[0]
+    plain = read_rendered(sequence, small.training)
+    whole, part = (read_rendered(sequence, recipe, with_blocks=each) for each in (True, False))
+    for own, other in zip(whole.frames, part.frames, strict=True):
+        np.testing.assert_array_equal(own.color, other.color)
+    np.testing.assert_array_equal(whole.reference, part.reference)
+    assert np.any(whole.reference != plain.reference)
+    assert len(part.blocks) == 1

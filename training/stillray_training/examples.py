@@ -9,7 +9,6 @@ light may have been another, and with hundreds to thousands, whose noise is that
 
 from __future__ import annotations
 
-import math
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -29,7 +28,13 @@ from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
 from stillray.stages.state import History, Prepared
 from stillray_training.blocks import alike_frames, mean_frame
-from stillray_training.film import DEVIATIONS, film_variance, frame_through_film, through_film
+from stillray_training.film import (
+    DEVIATIONS,
+    film_variance,
+    frame_through_film,
+    through_film,
+    widened,
+)
 from stillray_training.quiet import fireflies, quiet_frame, uneven_frame
 from stillray_training.rendered import Rendered, read_rendered
 from stillray_training.shade import moving_shade
@@ -79,10 +84,7 @@ class Example:
     @property
     def filter_spread(self) -> float | None:
         """Standard deviation of the pixel filter, in pixels; None where it is not known."""
-        if self.rendered_spread is None:
-            return None
-        # variances of filters one after the other add up
-        return math.sqrt(self.rendered_spread**2 + self.film_variance)
+        return widened(self.rendered_spread, self.film_variance)
 
 
 def find_sequences(folder: Path) -> list[Path]:
@@ -328,7 +330,7 @@ def previous_outputs(sequence: Path, denoiser: Denoiser, strips: Strips) -> dict
         last frame, and how much of it is valid.
     """
     spec = denoiser.model.spec
-    rendered = read_rendered(sequence, spec.training)
+    rendered = read_rendered(sequence, spec.training, with_blocks=False)
     frames = [replace(frame, filter_spread=rendered.spread) for frame in rendered.frames]
     remembered = {}
     family = kernels_of(spec)

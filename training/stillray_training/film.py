@@ -39,6 +39,14 @@ def film_variance(deviation: float) -> float:
     return float(film_weights(deviation) @ (places * places).astype(np.float32))
 
 
+def widened(spread: float | None, variance: float) -> float | None:
+    """Standard deviation of a pixel filter, in pixels, after a film that adds such a variance.
+
+    None where it is not known. Variances of filters one after the other add up.
+    """
+    return None if spread is None else sqrt(spread**2 + variance)
+
+
 def through_film(image: np.ndarray, deviation: float) -> np.ndarray:
     """An image ``(h, w, channels)`` of a box filter as one of a Gaussian, float32.
 

@@ -25,7 +25,7 @@ class Rendered:
     frames
         All, in order.
     blocks
-        The last and its further blocks, each with its samples a pixel.
+        The last and, where they were asked for, its further blocks, each with its samples a pixel.
     reference : (h, w, 3) float32
         What the last is to become.
     spp
@@ -41,10 +41,10 @@ class Rendered:
     spread: float | None
 
 
-def read_rendered(sequence: Path, recipe: Training) -> Rendered:
+def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True) -> Rendered:
     """Read a sequence, and paint lamps into as large a share of sequences as a recipe says.
 
-    The same sequence and seed give the same lamps every time.
+    The same sequence and seed give the same lamps every time, with further blocks and without.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def read_rendered(sequence: Path, recipe: Training) -> Rendered:
     if not frames:
         raise InputError(f"{sequence}: must hold frames, frame_0000.exr and on")
     reference, spp = read_target(sequence)
-    blocks = read_blocks(sequence, frames[-1], spp)
+    blocks = read_blocks(sequence, frames[-1], spp) if with_blocks else [(frames[-1], spp)]
     spread = read_filter(sequence)
     rng = np.random.default_rng([recipe.seed, zlib.crc32(sequence.name.encode()), 1])
     if rng.random() < recipe.lamp_share:

@@ -42,12 +42,16 @@ def shared_spread(color: np.ndarray, albedo: np.ndarray | None) -> float | None:
     """
     if min(color.shape[:2]) < _LEAST:
         return None
-    agree = []
-    for axis in (0, 1):
-        first = np.linspace(0, color.shape[axis] - 2, _PAIRS).astype(int)
-        own, other = (_curvature(color, albedo, first + step, axis) for step in (0, 1))
-        agree.append(float(np.sign(own * other).mean()))
-    return SHARED_SPREAD if min(agree) > AGREEMENT else None
+    # rows first: columns, which lie apart in memory, need not be looked at where those differ
+    shared = all(_agreement(color, albedo, axis) > AGREEMENT for axis in (0, 1))
+    return SHARED_SPREAD if shared else None
+
+
+def _agreement(color: np.ndarray, albedo: np.ndarray | None, axis: int) -> float:
+    """Mean product of the signs of some rows' curvature, or columns', and of those beside."""
+    first = np.linspace(0, color.shape[axis] - 2, _PAIRS).astype(int)
+    own, other = (_curvature(color, albedo, first + step, axis) for step in (0, 1))
+    return float(np.sign(own * other).mean())
 
 
 def _curvature(

@@ -8,7 +8,6 @@ holds is what `stillray.io.exr.read_write.read_exr` finds in it.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
@@ -19,7 +18,7 @@ import numpy as np
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.exr.read_write import read_exr
-from stillray_training.film import film_variance, frame_through_film, through_film
+from stillray_training.film import film_variance, frame_through_film, through_film, widened
 from stillray_training.simulate.sequence import RECORD
 from stillray_training.targets import read_filter
 
@@ -85,8 +84,7 @@ class Case:
         known = self.filter_spread if known is None else known
         if self.film:
             frame = frame_through_film(frame, self.film)
-            # variances of filters one after the other add up
-            known = None if known is None else math.hypot(known, film_variance(self.film) ** 0.5)
+            known = widened(known, film_variance(self.film))
         return dataclasses.replace(frame, filter_spread=known if self.tells_filter else None)
 
 
