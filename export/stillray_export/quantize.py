@@ -7,7 +7,8 @@ stays a mean however they are rounded.
 
 Scales are those of the frames in DATA: sequences that a model was trained on, never what it is
 measured on. Made by ONNX Runtime's own quantisation: a scale for each output of a convolution, one
-for each image, the least to the greatest value that was met.
+for each image, the least to the greatest value that was met. Then `stillray_export.integer_layout`
+arranges its planes as processors take them faster.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ from stillray.models.precision import floats_of, int8_path
 from stillray.models.registry import ModelInfo, find_model, require_fit
 from stillray.models.session import checked
 from stillray.pipeline.denoiser import Denoiser
-from stillray.pipeline.opening import engine_of_model
+from stillray.pipeline.opening import engine_of_model, family_of_model
+from stillray_export.integer_layout import arrange
 from stillray_training.blocks import frames_of, mean_frame, read_blocks
 from stillray_training.run import sequences_in
 from stillray_training.targets import read_filter
@@ -199,8 +201,9 @@ def main(
         sequences = sequences_in([folder])
         for sequence in sequences[:: -(-len(sequences) // most)]:
             features += features_of(info, sequence)
-    made = quantized(info.path, features).SerializeToString()
-    path = int8_path(info.path)
+    network = quantized(info.path, features)
+    arrange(network.graph, integers_out=family_of_model(info).traits.integers)
+    made, path = network.SerializeToString(), int8_path(info.path)
     # what the runtime would refuse is found here, not by who runs the model
     require_fit(checked(made, path)[1], info.spec, path)
     with atomic_path(path) as temporary:

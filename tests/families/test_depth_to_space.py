@@ -16,7 +16,7 @@ from tests import oracles
 def by_blocks(maps):
     """Four planes for one, in a loop."""
     planes, height, width = maps.shape
-    blocks = np.zeros((4 * planes, -(-height // 2), -(-width // 2)), np.float32)
+    blocks = np.zeros((4 * planes, -(-height // 2), -(-width // 2)), maps.dtype)
     for plane, y, x in np.ndindex(*maps.shape):
         blocks[4 * plane + 2 * (y % 2) + x % 2, y // 2, x // 2] = maps[plane, y, x]
     return blocks

@@ -15,18 +15,21 @@ from stillray.families import kernel_pyramid as pyramid
 from stillray.families.views import VIEWS, mean_picture
 from stillray.io.exr.read_write import read_exr
 from stillray.model_spec import load
+from stillray.models.steps import in_numbers
 from stillray.stages.state import Filterable
 from tests.batch.test_resume import write_frame
 from tests.conftest import clean_color, make_frame
 from tests.families.test_depth_to_space import by_blocks
 from tests.families.test_kernel_pyramid import draw
+from tests.families.test_logit_maps import integers_of
 
 FRAMES = 3
 
 
+@pytest.mark.parametrize("integers", [False, True])
 @pytest.mark.parametrize("blocks", [False, True])
 @pytest.mark.parametrize("view", VIEWS)
-def test_mirrored_light_and_logits_give_the_mirrored_picture(view, blocks):
+def test_mirrored_light_and_logits_give_the_mirrored_picture(view, blocks, integers):
     spec = load("kpyr-5")
     # every kind of logit that knows a direction
     decoder = dataclasses.replace(spec.decoder, finest_neighbours=(1, 2))
@@ -36,6 +39,8 @@ def test_mirrored_light_and_logits_give_the_mirrored_picture(view, blocks):
     mean, sample, albedo, previous, logits = draw(16, 24, options=decoder)
     if blocks:
         logits[0] = by_blocks(logits[0])
+    if integers:
+        logits = [integers_of(level) for level in logits]
 
     def picture(turn, given):
         of_pixels = [turn.of_pixels(part) for part in (mean, albedo, previous)]
@@ -49,7 +54,7 @@ def test_mirrored_light_and_logits_give_the_mirrored_picture(view, blocks):
     mirrored = picture(view, model.seen_from(view, logits, Strips(2), "seen"))
     np.testing.assert_allclose(view.of_pixels(mirrored), straight, rtol=1e-5)
     if view != VIEWS[0]:
-        wrong = picture(view, [turned(view, level) for level in logits])
+        wrong = picture(view, [turned(view, level) for level in in_numbers(logits)])
         assert np.abs(view.of_pixels(wrong) / straight - 1).max() > 0.1
 
 
@@ -90,7 +95,9 @@ def test_more_views_have_less_error():
     clean = clean_color(96, 128)
     errors = []
     for ensemble in (1, 2, 4):
-        with stillray.Denoiser("kpyr-5s", temporal=False, ensemble=ensemble) as denoiser:
+        with stillray.Denoiser(
+            "kpyr-5s", temporal=False, ensemble=ensemble, precision="float32"
+        ) as denoiser:
             found = [denoiser.denoise(make_frame(96, 128, seed=seed)) for seed in range(4)]
         errors.append(np.mean([np.square(image - clean).mean() for image in found]))
     assert errors[2] < errors[1] < errors[0]

@@ -39,6 +39,8 @@ class Traits:
         Frames back that change a picture noticeably; None for all.
     linear
         Whether other layers of a frame can be filtered by the weights of its color.
+    integers
+        Whether what the network gives may come as integers, see `stillray.models.steps.InSteps`.
     """
 
     required: frozenset[str]
@@ -48,6 +50,7 @@ class Traits:
     tile_alignment: int = 1
     tile_overlap: int | None = None
     linear: bool = True
+    integers: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,7 +99,7 @@ class Engine(Protocol):
     """Where the graphs of a model run."""
 
     def run(self, graph: str, inputs: Mapping[str, np.ndarray]) -> dict[str, Any]:
-        """The outputs of a graph by name, without their batch axis.
+        """The outputs of a graph by name, without their batch axis: arrays, or `InSteps`.
 
         Parameters
         ----------

@@ -18,7 +18,7 @@ class DepthToSpace:
 
     Parameters
     ----------
-    blocks : (4 planes, H, W) float32
+    blocks : (4 planes, H, W) float32 or uint8
         Four planes for each: of the top left pixels of 2x2 blocks, the top right, the bottom left,
         the bottom right.
     strips
@@ -63,7 +63,8 @@ class DepthToSpace:
         top, bottom = self._top + rows.start, self._top + rows.stop
         blocks = self._blocks[part, ..., top // 2 : -(-bottom // 2), :]
         count, _, _, height, width = blocks.shape
-        whole = self._strips.workspace.array(name, (count, height, 2, width, 2))
+        shape = (count, height, 2, width, 2)
+        whole = self._strips.workspace.array(name, shape, self._blocks.dtype.type)
         for plane, of_plane in zip(whole, blocks, strict=True):
             for line, pair in enumerate(of_plane):
                 cv2.merge(list(pair), dst=plane[:, line])

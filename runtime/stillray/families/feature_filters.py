@@ -135,6 +135,7 @@ class FeatureFiltersModel:
             scale=self.scale,
             memory=MEMORY_FRAMES,
             linear=False,
+            integers=True,
         )
 
     def plan(

@@ -31,10 +31,11 @@ import numpy as np
 from stillray.arrays.bounds import at_most
 from stillray.arrays.resample import halve
 from stillray.arrays.strips import STRIP_PIXELS, Strips, interleave, planes_of, with_halo
-from stillray.families.depth_to_space import DepthToSpace
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
 from stillray.families.gaussian import Weights, framed, gaussian, measured
+from stillray.families.logit_maps import LogitMaps
 from stillray.model_spec.loader import Demodulate, FeatureFilters
+from stillray.models.steps import InSteps, Output
 from stillray.stages.demodulate import demodulation_planes
 
 _PLANES = 9  # light over diffuse albedo, over specular albedo, and as it is
@@ -114,7 +115,7 @@ class Rules:
 def reconstruct(
     frame: Enlarged,
     past: Past | None,
-    outputs: Sequence[np.ndarray],
+    outputs: Sequence[Output],
     rules: Rules,
     strips: Strips,
 ) -> tuple[np.ndarray, Accumulated]:
@@ -143,8 +144,12 @@ def reconstruct(
         For the next frame.
     """
     image, accumulated = _Reconstruction(frame, past, outputs, rules, strips).run()
-    if np.isnan(image.max()) and any(np.isnan(planes.max()) for planes in outputs):
-        outputs = [np.nan_to_num(planes, nan=0.0) for planes in outputs]
+    floats = [planes for planes in outputs if not isinstance(planes, InSteps)]
+    if np.isnan(image.max()) and any(np.isnan(planes.max()) for planes in floats):
+        outputs = [
+            planes if isinstance(planes, InSteps) else np.nan_to_num(planes, nan=0.0)
+            for planes in outputs
+        ]
         image, accumulated = _Reconstruction(frame, past, outputs, rules, strips).run()
     return image, accumulated
 
@@ -156,7 +161,7 @@ class _Reconstruction:
         self,
         frame: Enlarged,
         past: Past | None,
-        outputs: Sequence[np.ndarray],
+        outputs: Sequence[Output],
         rules: Rules,
         strips: Strips,
     ) -> None:
@@ -164,9 +169,10 @@ class _Reconstruction:
         self._size = (frame.color.shape[0], frame.color.shape[1])
         self._levels = len(outputs)
         self._layout = target_layout(self._levels, rules.filters)
-        self._maps: list[np.ndarray | DepthToSpace] = [
-            DepthToSpace(outputs[0], strips),
-            *outputs[1:],
+        bound = rules.filters.logit_bound
+        self._maps = [
+            LogitMaps(given, bound, strips, by_blocks=level == 0)
+            for level, given in enumerate(outputs)
         ]
         # this frame's light, filtered; what a frame leaves nothing of lies in the workspace
         self._enlarged = strips.workspace.array("enlarged light", (3, *self._size))
@@ -196,9 +202,15 @@ class _Reconstruction:
         self._filter(0, _PLANES, self._layout.denoise, fill, finish)
         return image, self._kept
 
-    def _bounded(self, logits: np.ndarray) -> np.ndarray:
-        bound = np.float32(self._rules.filters.logit_bound)
-        return np.clip(logits, -bound, bound)
+    def _logits(self, level: int, places: slice, rows: slice) -> np.ndarray:
+        """Some rows of a level's maps, bounded: ``(n, rows, w)``."""
+        shape = (places.stop - places.start, rows.stop - rows.start, self._size[1] >> level)
+        return self._maps[level].numbers(places, rows, np.empty(shape, np.float32))
+
+    def _weight(self, level: int, place: int, rows: slice) -> np.ndarray:
+        """The weight that a map's rows stand for, ``(rows, w)``."""
+        shape = (rows.stop - rows.start, self._size[1] >> level)
+        return self._maps[level].weight(place, rows, np.empty(shape, np.float32))
 
     def _filter(
         self,
@@ -231,10 +243,9 @@ class _Reconstruction:
             ]  # fmt: skip
             values, features, norms, weight = parts
             fill(near, values[:, filled, inside])
-            features[:, filled, inside] = self._bounded(maps[planes.features, near])
+            maps.numbers(planes.features, near, features[:, filled, inside])
             measured(features[:, filled, inside], norms[0, filled, inside])
-            own = self._bounded(maps[planes.importance, near])
-            weight[0, filled, inside] = cv2.exp(own).reshape(own.shape)
+            maps.weight(planes.importance, near, weight[0, filled, inside])
             out = workspace.array("filtered", (channels, high - 2 * distance, width))
             itself = weight[0, distance : high - distance, inside]
             weights = Weights(features, norms[0], weight[0], itself)
@@ -276,8 +287,7 @@ class _Reconstruction:
             out[:3] = new
             out[3] = 1
             return
-        logits = self._bounded(self._maps[0][self._layout.keep.start + index, rows])
-        factor = cv2.exp(logits, dst=logits)
+        factor = self._weight(0, self._layout.keep.start + index, rows)
         before = planes_of(past[rows], out=self._strips.workspace.array("before", out.shape))
         held = np.multiply(factor, before[3], out=before[3])  # what it weighs against this frame
         total = held + 1
@@ -319,7 +329,7 @@ class _Reconstruction:
             )
             self._light_planes(fine, planes)
             held = self._light[3, fine]
-            shares = _shares(self._bounded(self._maps[0][self._layout.partition, fine]))
+            shares = _shares(self._logits(0, self._layout.partition, fine))
             for level, share in zip(sums, shares[1:], strict=True):
                 share *= held
                 level[_PLANES, rows] = halve(share)
@@ -365,7 +375,7 @@ class _Reconstruction:
 
     def _mix(self, level: int, logit: int, below: np.ndarray, rows: slice, out: np.ndarray) -> None:
         """Mix rows of a level with the next coarser one, of twice its size."""
-        share, rest = _sigmoids(self._bounded(self._maps[level][logit, rows]))
+        share, rest = _sigmoids(self._weight(level, logit, rows))
         first = rows.start // 2
         source = below[:, first : -(-rows.stop // 2)]
         height, width = (2 * size for size in source.shape[1:])
@@ -378,8 +388,8 @@ class _Reconstruction:
 
     def _compose(self, rows: slice, planes: np.ndarray, image: np.ndarray) -> None:
         """Multiply by albedos, compose, and mix with the last output."""
-        workspace, maps = self._strips.workspace, self._maps[0]
-        plain, *by_albedo, alone = _shares(self._bounded(maps[self._layout.compose, rows]))
+        workspace = self._strips.workspace
+        plain, *by_albedo, alone = _shares(self._logits(0, self._layout.compose, rows))
         light = workspace.array("composed", (3, *planes.shape[1:]))
         np.multiply(planes[6:], plain, out=light)
         for part, share in zip((slice(0, 3), slice(3, 6)), by_albedo, strict=True):
@@ -390,7 +400,7 @@ class _Reconstruction:
         for plane, total in zip(self._enlarged[:, rows], light, strict=True):
             cv2.accumulateProduct(plane, alone, total)
         if self._past is not None:
-            keep, leave = _sigmoids(self._bounded(maps[self._layout.output, rows]))
+            keep, leave = _sigmoids(self._weight(0, self._layout.output, rows))
             unknown = self._past.accumulated.light[rows, :, 3] <= 0
             keep[unknown], leave[unknown] = 0, 1
             light *= leave
@@ -409,9 +419,8 @@ def _shares(logits: np.ndarray) -> np.ndarray:
     return weights
 
 
-def _sigmoids(logits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sigmoids of bounded logits, and of minus these; what is given is written over."""
-    odds = cv2.exp(logits, dst=logits)
+def _sigmoids(odds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Shares of one to the other, which is 1, and of that; what is given is written over."""
     rest: np.ndarray = np.reciprocal(odds + 1)
     odds *= rest
     return odds, rest

@@ -13,18 +13,16 @@ from functools import partial
 import numpy as np
 
 from stillray.arrays.strips import Strips, with_halo
-from stillray.families.box_filter import bounded_exp
-from stillray.families.depth_to_space import DepthToSpace
 from stillray.families.gaussian import Weights, framed, gaussian, measured
+from stillray.families.logit_maps import LogitMaps
 from stillray.families.pyramid_logits import LevelLayout
 
 
 def filter_finest(
     blend: Callable[[slice, np.ndarray], None],
     size: tuple[int, int],
-    logits: np.ndarray | DepthToSpace,
+    logits: LogitMaps,
     layout: LevelLayout,
-    bound: float,
     strips: Strips,
 ) -> np.ndarray:
     """The finest level, blended and filtered.
@@ -35,12 +33,10 @@ def filter_finest(
         Writes rows of what is filtered, ``(3, rows, w)``.
     size
         Height and width.
-    logits : (planes, h, w) float32
+    logits
         Of the finest level.
     layout
         Of the logits, with one filter or more.
-    bound
-        That logits, and features, are clipped to.
     strips
         Where the work runs.
 
@@ -70,13 +66,12 @@ def filter_finest(
         for image in images:
             _frame(image, at, margin)
         blend(rows, source[:, at, within])
-        given = logits[layout.features, rows]
-        np.clip(given, -np.float32(bound), np.float32(bound), out=features[:, at, within])
+        logits.numbers(layout.features, rows, features[:, at, within])
         measured(features[:, at, within], norms[0, at, within])
 
     strips.run(fill, height, width)
     for index in range(len(layout.filter_distances)):
-        step = _Filter(source, (features, norms[0]), logits, layout, index, bound)
+        step = _Filter(source, (features, norms[0]), logits, layout, index)
         strips.run(partial(step.run, other, strips), height, width)
         source, other = other, source
     return source[:, inside, within]
@@ -99,16 +94,14 @@ class _Filter:
         self,
         source: np.ndarray,
         features: tuple[np.ndarray, np.ndarray],
-        logits: np.ndarray | DepthToSpace,
+        logits: LogitMaps,
         layout: LevelLayout,
         index: int,
-        bound: float,
     ) -> None:
         self._source, self._features, self._logits = source, features, logits
-        self._margin, self._bound = max(layout.filter_distances), bound
+        self._margin = max(layout.filter_distances)
         self._distance = layout.filter_distances[index]
-        weight = layout.filters.start + 2 * index
-        self._weight, self._own = slice(weight, weight + 1), slice(weight + 1, weight + 2)
+        self._weight = layout.filters.start + 2 * index
 
     def run(self, target: np.ndarray, strips: Strips, rows: slice) -> None:
         """Filter rows into those of ``target``, which has a margin, too."""
@@ -123,10 +116,10 @@ class _Filter:
             distance,
         )
         own = workspace.array("own", (near.stop - near.start, width))
-        bounded_exp(self._logits[self._weight, near][0], self._bound, own)
+        self._logits.weight(self._weight, near, own)
         other[top : top + len(own), distance:-distance] = own
         own = own[: rows.stop - rows.start]
-        bounded_exp(self._logits[self._own, rows][0], self._bound, own)
+        self._logits.weight(self._weight + 1, rows, own)
         window = (
             slice(margin + rows.start - distance, margin + rows.stop + distance),
             slice(margin - distance, margin + width + distance),

@@ -74,7 +74,10 @@ def gaussian(
     np.copyto(total, weights.own)
     for plane, sums in zip(values, out, strict=True):
         np.multiply(plane[inner], weights.own, out=sums)
-    share = workspace.array("share", (height, width))
+    # what a pixel gives to others is weighed once, not for each of them
+    given = workspace.array("given", values.shape)
+    for plane, target in zip(values, given, strict=True):
+        cv2.multiply(plane, weights.other, dst=target)
     norms = weights.norms
     for down, right in NEIGHBOURS[len(NEIGHBOURS) // 2 :]:
         across, beyond = distance * abs(right), distance * max(right, 0)
@@ -96,10 +99,9 @@ def gaussian(
                 distance + sign * distance * down, distance * (1 + sign * right), height, width
             )
             reached = alike[_window(top, left, height, width)]
-            cv2.multiply(reached, weights.other[place], dst=share)
-            cv2.add(total, share, dst=total)
-            for plane, sums in zip(values, out, strict=True):
-                cv2.accumulateProduct(plane[place], share, sums)
+            cv2.accumulateProduct(weights.other[place], reached, total)
+            for plane, sums in zip(given, out, strict=True):
+                cv2.accumulateProduct(plane[place], reached, sums)
     np.reciprocal(total, out=total)
     out *= total
 

@@ -22,10 +22,10 @@ from stillray.arrays.extend import extended
 from stillray.arrays.resample import halve
 from stillray.arrays.strips import Strips, interleave, planes_of, with_halo
 from stillray.arrays.workspace import Workspace
-from stillray.families.box_filter import bounded_exp, box_means
+from stillray.families.box_filter import box_means
 from stillray.families.cost import kernel_pyramid_cost
-from stillray.families.depth_to_space import DepthToSpace
 from stillray.families.finest_filters import filter_finest
+from stillray.families.logit_maps import LogitMaps
 from stillray.families.pyramid_logits import (
     NEIGHBOURS,
     LevelLayout,
@@ -37,6 +37,7 @@ from stillray.families.pyramid_upsample import Doubled
 from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.families.views import View
 from stillray.model_spec.loader import ModelSpec, PyramidKernels, PyramidNetwork
+from stillray.models.steps import InSteps, Output
 from stillray.stages.features import luminance_of_planes
 from stillray.stages.state import Filterable
 from stillray.timing import timed
@@ -62,6 +63,8 @@ def receptive_field(network: PyramidNetwork) -> int:
 
 class KernelPyramidModel(TemporalKernels):
     """A model of the family ``kernel-pyramid``."""
+
+    takes_integers = True
 
     def __init__(self, spec: ModelSpec) -> None:
         assert isinstance(spec.decoder, PyramidKernels)
@@ -89,7 +92,7 @@ class KernelPyramidModel(TemporalKernels):
     def reconstruct(
         self,
         light: Filterable,
-        outputs: Sequence[np.ndarray],
+        outputs: Sequence[Output],
         strips: Strips,
         timings: dict[str, float],
     ) -> np.ndarray:
@@ -99,25 +102,29 @@ class KernelPyramidModel(TemporalKernels):
         """
         logits, frozen = outputs[: self._levels], outputs[self._levels :]
         toned = frozen[0] if frozen else None
+        assert not isinstance(toned, InSteps)
         with timed(timings, "reconstruct"):
             return filter_pyramid(light, logits, self._options, strips, toned)
 
     def seen_from(
-        self, view: View, outputs: Sequence[np.ndarray], strips: Strips, name: str
-    ) -> list[np.ndarray]:
+        self, view: View, outputs: Sequence[Output], strips: Strips, name: str
+    ) -> list[Output]:
         """Logits of a mirrored frame as those of the frame, see `TemporalKernels`."""
-        found = []
+        found: list[Output] = []
         for level, given in enumerate(outputs):
+            planes = given.integers if isinstance(given, InSteps) else given
             places = seen_from(view, level, self._levels, self._options)
-            if len(given) > len(places):  # the finest, by blocks of 2x2 pixels
+            if len(planes) > len(places):  # the finest, by blocks of 2x2 pixels
                 places = [4 * place + corner for place in places for corner in view.corners]
-            out = strips.workspace.array(f"{name}, level {level}", given.shape)
-            found.append(view.of_planes(given, places, strips, out))
+            kind = planes.dtype.type
+            out = strips.workspace.array(f"{name}, level {level}", planes.shape, kind)
+            seen = view.of_planes(planes, places, strips, out)
+            found.append(InSteps(seen, given.steps) if isinstance(given, InSteps) else seen)
         return found
 
     def frozen(
-        self, light: Filterable, outputs: Sequence[np.ndarray], strips: Strips
-    ) -> Sequence[np.ndarray]:
+        self, light: Filterable, outputs: Sequence[Output], strips: Strips
+    ) -> Sequence[Output]:
         """Outputs by which other layers are filtered as the frame's light was.
 
         Which neighbours are the brighter ones is for the color to say: layers add up to it only if
@@ -130,7 +137,7 @@ class KernelPyramidModel(TemporalKernels):
         """
         if not _tone(light, self._options):
             return outputs
-        outputs = numbers(outputs)
+        outputs = _numbers(outputs)
         height, width = light.mean.shape[:2]
         toned = np.empty((height + 2, width + 2), np.float32)
         finest = _finest(light, outputs, self._options, strips)
@@ -152,7 +159,7 @@ def _tone(light: Filterable, options: PyramidKernels) -> float:
 
 def filter_pyramid(
     light: Filterable,
-    logits: Sequence[np.ndarray],
+    logits: Sequence[Output],
     options: PyramidKernels,
     strips: Strips,
     toned: np.ndarray | None = None,
@@ -165,8 +172,8 @@ def filter_pyramid(
         What is filtered: irradiance >= 0 and samples > 0.
     logits
         One ``(planes, H, W)`` map a level, finest first, of the frame's size rounded up to
-        `alignment`; any values. The frame is mirrored to that size. The finest may come as
-        `DepthToSpace`, known by having the size of the next.
+        `alignment`; any values, or `InSteps`. The frame is mirrored to that size. The finest may
+        come by blocks, see `LogitMaps`, known by having the size of the next.
     options
         Kernel sizes and the bound of the logits.
     strips
@@ -183,14 +190,20 @@ def filter_pyramid(
     image = _filtered(light, logits, options, strips, toned)
     # A logit that is not a number says nothing: 0. It shows in the image, which is a fifth of the
     # logits to look through.
-    if np.isnan(image.max()) and any(np.isnan(level.max()) for level in logits):
-        image = _filtered(light, numbers(logits), options, strips, toned)
+    floats = [level for level in logits if not isinstance(level, InSteps)]
+    if np.isnan(image.max()) and any(np.isnan(level.max()) for level in floats):
+        image = _filtered(light, _numbers(logits), options, strips, toned)
     return image
+
+
+def _numbers(logits: Sequence[Output]) -> list[Output]:
+    """Logits that are numbers; integers always are some."""
+    return [given if isinstance(given, InSteps) else numbers([given])[0] for given in logits]
 
 
 def _filtered(
     light: Filterable,
-    logits: Sequence[np.ndarray],
+    logits: Sequence[Output],
     options: PyramidKernels,
     strips: Strips,
     toned: np.ndarray | None,
@@ -207,23 +220,25 @@ def _filtered(
 
 
 def _finest(
-    light: Filterable, logits: Sequence[np.ndarray], options: PyramidKernels, strips: Strips
+    light: Filterable, logits: Sequence[Output], options: PyramidKernels, strips: Strips
 ) -> _Level:
     """The finest level with all that it is blended of, filtered where the model does that."""
     levels = len(logits)
-    maps: list[np.ndarray | DepthToSpace] = list(logits)
-    if levels > 1 and logits[0].shape[1:] == logits[1].shape[1:]:
-        maps[0] = DepthToSpace(logits[0], strips)
+    by_blocks = levels > 1 and logits[0].shape[1:] == logits[1].shape[1:]
+    maps = [
+        LogitMaps(given, options.logit_bound, strips, by_blocks=by_blocks and level == 0)
+        for level, given in enumerate(logits)
+    ]
     mean, sample = _whole_blocks(light, maps[0].shape[1:], strips)
     finest = level_layout(0, levels, options)
-    pyramid = [_blended_with_sample(mean, sample, maps[0], finest.sample_blend, options, strips)]
+    pyramid = [_blended_with_sample(mean, sample, maps[0], finest.sample_blend, strips)]
     for level in range(levels - 1):
         pool = level_layout(level, levels, options).pool
         # levels lie in the workspace of this thread from frame to frame
         coarse = strips.workspace.array(
             f"pyramid {level + 1}", (4, *(size // 2 for size in pyramid[-1].shape[1:]))
         )
-        _pool(pyramid[-1], maps[level], pool, options, strips, coarse)
+        _pool(pyramid[-1], maps[level], pool, strips, coarse)
         pyramid.append(coarse)
     coarser: Doubled | None = None
     for level in reversed(range(1, levels)):
@@ -231,13 +246,13 @@ def _finest(
         padded = (3, *(size + 2 for size in pyramid[level].shape[1:]))
         blended = strips.workspace.array(f"blended {level}", padded)
         _Level(pyramid[level], coarser, maps[level], layout, options).blended(strips, blended)
-        coarser = Doubled(blended, logits[level][layout.double], options)
+        coarser = Doubled(blended, maps[level], layout.double)
     top = _Level(pyramid[0], coarser, maps[0], finest, options)
     if finest.filter_distances:
-        bound, size = options.logit_bound, pyramid[0].shape[1:]
+        size = pyramid[0].shape[1:]
         filtered = filter_finest(
             lambda rows, out: top.blend(rows, out, strips.workspace),
-            (size[0], size[1]), maps[0], finest, bound, strips,
+            (size[0], size[1]), maps[0], finest, strips,
         )  # fmt: skip
         top = replace(top, filtered=filtered)
     return top
@@ -262,9 +277,8 @@ def _whole_blocks(
 def _blended_with_sample(
     mean: np.ndarray,
     sample: np.ndarray | None,
-    logits: np.ndarray | DepthToSpace,
+    logits: LogitMaps,
     sample_blend: slice,
-    options: PyramidKernels,
     strips: Strips,
 ) -> np.ndarray:
     """Light and samples as ``(4, h, w)``: what was accumulated, with more of the new sample.
@@ -283,7 +297,7 @@ def _blended_with_sample(
             return
         new = sample[:, rows]
         more, total = workspace.array("more", shape), workspace.array("total", shape)
-        bounded_exp(logits[sample_blend, rows][0], options.logit_bound, more)
+        logits.weight(sample_blend.start, rows, more)
         held = np.add(more, 1, out=workspace.array("held", shape))
         more *= new[3]
         np.add(past[3], more, out=total)
@@ -301,9 +315,8 @@ def _blended_with_sample(
 
 def _pool(
     fine: np.ndarray,
-    logits: np.ndarray | DepthToSpace,
+    logits: LogitMaps,
     pool: slice,
-    options: PyramidKernels,
     strips: Strips,
     coarse: np.ndarray,
 ) -> None:
@@ -315,7 +328,7 @@ def _pool(
         source = slice(2 * rows.start, 2 * rows.stop)
         shape = (source.stop - source.start, 2 * width)
         weight, product = workspace.array("weight", shape), workspace.array("product", shape)
-        bounded_exp(logits[pool, source][0], options.logit_bound, weight)
+        logits.weight(pool.start, source, weight)
         total = halve(weight)
         weight *= fine[3, source]
         held = halve(weight)
@@ -338,7 +351,8 @@ class _Level:
         Light and samples of the whole level.
     coarser
         The whole coarser level; None at the coarsest.
-    logits : (planes, h, w) float32
+    logits
+        Of the level.
     layout, options
         Of the logits.
     filtered : (3, h, w) float32 or None
@@ -347,7 +361,7 @@ class _Level:
 
     planes: np.ndarray
     coarser: Doubled | None
-    logits: np.ndarray | DepthToSpace
+    logits: LogitMaps
     layout: LevelLayout
     options: PyramidKernels
     filtered: np.ndarray | None = None
@@ -375,10 +389,9 @@ class _Level:
         elif _tone(light, self.options):
             around = self.toned(padded, light, workspace)
         past = None if light.previous is None else light.previous[rows]
-        logits = self.logits[self.layout.resolve, rows][..., : out.shape[1]]
-        weights = workspace.array("weights", logits.shape)
-        for logit, weight in zip(logits, weights, strict=True):
-            bounded_exp(logit, self.options.logit_bound, weight)
+        at = self.layout.resolve
+        weights = workspace.array("weights", (at.stop - at.start, *out.shape[:2]))
+        self.logits.weights(at, rows, weights)
         if around is not None:
             _weigh_brighter_less(around, weights[: len(NEIGHBOURS)], workspace)
         _resolve(padded, weights, past, out, workspace)
@@ -414,10 +427,9 @@ class _Level:
         """Rows of the level, ``(3, rows, w)``: itself, its kernels and the coarser level."""
         height, width = self.planes.shape[1:]
         shape = (rows.stop - rows.start, width)
-        maps = self.logits[self.layout.blend, rows]
-        shares = workspace.array("shares", maps.shape)
-        for logit, share in zip(maps, shares, strict=True):
-            bounded_exp(logit, self.options.logit_bound, share)
+        at = self.layout.blend
+        shares = workspace.array("shares", (at.stop - at.start, *shape))
+        self.logits.weights(at, rows, shares)
         others = list(shares)
         if self.coarser is None:  # itself at logit 0, then the kernels
             light = workspace.array("light", (3, *shape))
@@ -441,8 +453,7 @@ class _Level:
             weight, product, box = (
                 workspace.array(name, strip) for name in ("weight", "product", "box")
             )
-            importance = slice(index, index + 1)
-            bounded_exp(self.logits[importance, near][0], self.options.logit_bound, weight)
+            self.logits.weight(self.layout.importance.start + index, near, weight)
             weight *= self.planes[3, near]
             share /= box_means(weight, size, box)[inner]
             for plane, sums in zip(self.planes, light, strict=False):
@@ -457,10 +468,9 @@ class _Level:
     ) -> None:
         """Add neighbours, each by a weight of its own, and the weights."""
         distances = self.layout.distances
-        maps = self.logits[self.layout.around, rows]
-        weights = workspace.array("weights", maps.shape)
-        for logit, weight in zip(maps, weights, strict=True):
-            bounded_exp(logit, self.options.logit_bound, weight)
+        at = self.layout.around
+        weights = workspace.array("weights", (at.stop - at.start, *normal.shape))
+        for weight in self.logits.weights(at, rows, weights):
             normal += weight
         margin, count = max(distances), len(NEIGHBOURS)
         padded = _padded(self.planes[:3], rows, margin, workspace)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -34,6 +34,9 @@ from stillray.stages.state import Filterable, LayerPast, Prepared, filterable
 
 _ROUNDING = 1e-5  # relative: what a factor may differ from 1 by rounding alone
 
+#: Of a network: arrays; `InSteps` where a family takes integers.
+Outputs = Sequence[Any]
+
 
 class Kernels(Protocol):
     """What filters: see `stillray.families.temporal_kernels.TemporalKernels`."""
@@ -44,16 +47,14 @@ class Kernels(Protocol):
     def reconstruct(
         self,
         light: Filterable,
-        outputs: Sequence[np.ndarray],
+        outputs: Outputs,
         strips: Strips,
         timings: dict[str, float],
     ) -> np.ndarray:
         """The radiance of what was accumulated."""
         ...
 
-    def frozen(
-        self, light: Filterable, outputs: Sequence[np.ndarray], strips: Strips
-    ) -> Sequence[np.ndarray]:
+    def frozen(self, light: Filterable, outputs: Outputs, strips: Strips) -> Sequence[np.ndarray]:
         """Outputs that filter other light as they filtered the color's."""
         ...
 
@@ -97,7 +98,7 @@ class FilteredLayers:
         kernels: Kernels,
         plan: TemporalPlan,
         prepared: Prepared,
-        outputs: Sequence[Sequence[np.ndarray]],
+        outputs: Sequence[Outputs],
         shading: Shading,
         context: Context,
     ) -> None:
@@ -221,7 +222,7 @@ class FilteredLayers:
         return self._sample[3] if weight is None else weight
 
     @cached_property
-    def _frozen(self) -> list[Sequence[np.ndarray]]:
+    def _frozen(self) -> list[Outputs]:
         light = filterable(self._prepared, None)
         return [self._kernels.frozen(light, each, self._strips) for each in self._outputs]
 

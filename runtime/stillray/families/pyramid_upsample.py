@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.workspace import Workspace
-from stillray.model_spec.loader import PyramidKernels
+from stillray.families.logit_maps import LogitMaps
 
 
 class Doubled:
@@ -20,25 +20,23 @@ class Doubled:
     ----------
     light : (3, h + 2, w + 2) float32
         With its border repeated.
-    logits : (8, h, w) float32
-        Of the pixels beside, then of those above or below, for the top left pixel of each block,
-        the top right, the bottom left, the bottom right.
-    options
-        The bound of the logits.
+    logits
+        Of the level.
+    places
+        Of eight among them: of the pixels beside, then of those above or below, for the top left
+        pixel of each block, the top right, the bottom left, the bottom right.
     """
 
-    def __init__(self, light: np.ndarray, logits: np.ndarray, options: PyramidKernels) -> None:
-        self._light, self._logits, self._bound = light, logits, options.logit_bound
+    def __init__(self, light: np.ndarray, logits: LogitMaps, places: slice) -> None:
+        self._light, self._logits, self._places = light, logits, places
 
     def rows(self, rows: slice, workspace: Workspace) -> np.ndarray:
         """Rows of it, ``(3, rows, 2 w)``, which lie in the workspace."""
         top, bottom = rows.start // 2, -(-rows.stop // 2)
         high, width = bottom - top, self._logits.shape[2]
-        # few calls for much: each waits for the interpreter's lock
-        weights = workspace.array("beside and above", (2, 4, high, width))
-        given = self._logits[:, top:bottom].reshape(weights.shape)
-        np.clip(given, np.float32(-self._bound), np.float32(self._bound), out=weights)
-        cv2.exp(weights.reshape(-1, width), dst=weights.reshape(-1, width))
+        eight = workspace.array("beside and above", (8, high, width))
+        weights = self._logits.weights(self._places, slice(top, bottom), eight)
+        weights = weights.reshape(2, 4, high, width)
         own = workspace.array("own", (4, high, width))
         np.add(weights[0], weights[1], out=own)
         mixed = workspace.array("mixed", (3, 2, high, width))

@@ -14,15 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from stillray.arrays.strips import STRIP_PIXELS, Strips
+from stillray.arrays.strips import Strips
 from stillray.arrays.tiles import Tile
 from stillray.arrays.watch import Watch
 from stillray.families.contract import Context, Request, State, Step, Traits
-from stillray.families.layer_filter import FilteredLayers, Shading
+from stillray.families.layer_filter import FilteredLayers, Outputs, Shading
 from stillray.families.network_input import NetworkInput
 from stillray.families.views import VIEWS, View, mean_picture
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
+from stillray.models.steps import in_numbers
 from stillray.stages import features, lamps, previous_output, relief
 from stillray.stages.decide import TemporalPlan, Wants, decide
 from stillray.stages.means import Means
@@ -90,12 +91,15 @@ class TemporalKernels(ABC):
             tile_alignment=looks.alignment,
             tile_overlap=looks.overlap,
             memory=MEMORY_FRAMES,
+            integers=self.takes_integers,
         )
 
     #: What the reconstruction does, in a few words.
     method: str
     #: Operations and float32 planes moved by the reconstruction, a pixel.
     cost: tuple[float, float]
+    #: See `Traits.integers`.
+    takes_integers = False
     #: Views of a frame whose pictures are averaged; more than one where there is `seen_from`.
     ensemble = 1
 
@@ -103,7 +107,7 @@ class TemporalKernels(ABC):
     def reconstruct(
         self,
         light: Filterable,
-        outputs: Sequence[np.ndarray],
+        outputs: Outputs,
         strips: Strips,
         timings: dict[str, float],
     ) -> np.ndarray:
@@ -121,18 +125,14 @@ class TemporalKernels(ABC):
             ``"reconstruct"``, and ``"remodulate"`` where that is a pass of its own.
         """
 
-    def seen_from(
-        self, view: View, outputs: Sequence[np.ndarray], strips: Strips, name: str
-    ) -> list[np.ndarray]:
+    def seen_from(self, view: View, outputs: Outputs, strips: Strips, name: str) -> list[Any]:
         """The network's outputs for a frame, of those for what a view of it is.
 
         They lie in the workspace of this thread, by a name of their own.
         """
         raise NotImplementedError
 
-    def frozen(
-        self, light: Filterable, outputs: Sequence[np.ndarray], strips: Strips
-    ) -> Sequence[np.ndarray]:
+    def frozen(self, light: Filterable, outputs: Outputs, strips: Strips) -> Outputs:
         """Outputs by which other layers are filtered as a frame's light was.
 
         The same, where the outputs say it all, whatever light they meet.
@@ -195,7 +195,7 @@ class TemporalKernels(ABC):
         assert isinstance(plan, KernelPlan)
         early = plan.before_network
         prepared, previous = self.prepare(plan, context)
-        outputs: list[list[np.ndarray]] = []
+        outputs: list[list[Any]] = []
         if len(plan.tiles) > 1:
             image = self._tiled(prepared, previous, plan.tiles, context)
         else:
@@ -265,7 +265,7 @@ class TemporalKernels(ABC):
         prepared: Prepared,
         previous: np.ndarray | None,
         context: Context,
-        keep: list[list[np.ndarray]] | None = None,
+        keep: list[list[Any]] | None = None,
     ) -> np.ndarray:
         """A prepared frame's radiance; what the network says of each view of it is put in a list.
 
@@ -284,14 +284,14 @@ class TemporalKernels(ABC):
 
         return mean_picture(pictures())
 
-    def _outputs(
-        self, planes: np.ndarray, view: View, context: Context, place: str
-    ) -> list[np.ndarray]:
+    def _outputs(self, planes: np.ndarray, view: View, context: Context, place: str) -> list[Any]:
         """What the network says of its input, given to it as a view of it; lies at a place."""
         assert context.engine is not None
         with timed(context.timings, "network"):
             seen = _seen(planes, view, context) if view.changes else planes
             outputs = list(context.engine.run("network", {"features": seen}).values())
+            if not self.traits.integers:
+                outputs = in_numbers(outputs)
             if not view.changes:
                 return outputs
             return self.seen_from(view, outputs, context.strips, place)
@@ -342,7 +342,7 @@ class TemporalKernels(ABC):
 
         with timed(context.timings, "encode"):
             # many planes: half of a strip, so that a frame that is cancelled ends soon
-            context.strips.run(pack, height, width, pixels=STRIP_PIXELS // 2)
+            context.strips.run(pack, height, width)
             found.mirror(height, width)
         return found.array
 

@@ -9,7 +9,7 @@ operator needs a rule here, and nothing else.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,12 +31,44 @@ class GraphError(ValueError):
     """A graph that cannot be run safely: the message says what is wrong."""
 
 
+#: In what order the numbers of a tensor lie: planes; pixels, ``(1, h, w, c)``; rows of pixels,
+#: ``(h, 1, w, c)``; those, each twice, ``(h, 2, w, c)``.
+PLANES, PIXELS, ROWS, ROWS_TWICE = "planes", "pixels", "rows", "rows twice"
+
+
 @dataclass(frozen=True)
 class Planes:
-    """A tensor of ``count`` planes, each of the frame's height and width over ``reduction``."""
+    """A tensor of planes.
+
+    Attributes
+    ----------
+    count
+        Of the planes.
+    reduction
+        How many times the frame is as high as they are.
+    across
+        How many times it is as wide, where that is another number: pixels side by side may be
+        taken for one.
+    steps
+        Of integers of 8 bits, what they stand for; None of numbers.
+    order
+        In which they lie.
+    """
 
     count: int
     reduction: int
+    across: int | None = None
+    steps: Steps | None = None
+    order: str = PLANES
+
+    @property
+    def columns(self) -> int:
+        """How many times the frame is as wide."""
+        return self.reduction if self.across is None else self.across
+
+    def of_size(self, rows: int, columns: int) -> Planes:
+        """As many planes of another size, by how many times the frame is as high and wide."""
+        return replace(self, reduction=rows, across=None if columns == rows else columns)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,12 +131,14 @@ def interface_of(graph: Graph) -> Interface:
         made, multiplications = rule(node, inputs)
         if made.count > MAX_PLANES:
             raise GraphError(f"{node.operator} gives {made.count} planes, more than {MAX_PLANES}")
-        work += multiplications / made.reduction**2
+        work += multiplications / (made.reduction * made.columns)
         if work > MAX_MULTIPLICATIONS:
             raise GraphError(f"more than {MAX_MULTIPLICATIONS} multiplications a pixel")
         known[node.outputs[0]] = made
     if not graph.outputs or not set(graph.outputs) <= known.keys() - {"features"}:
         raise GraphError("every output must be what a node gives")
+    if any(known[name].across or known[name].order != PLANES for name in graph.outputs):
+        raise GraphError("every output must be planes of whole pixels")
     if len(set(graph.outputs)) != len(graph.outputs):
         raise GraphError("outputs must have names of their own")
     return Interface(
@@ -144,7 +178,10 @@ class _Pixels:
 
     def __init__(self, features: int) -> None:
         self._whole = range(features)
-        self._parts: dict[str, range] = {}
+        # names that the input has, and the planes of the input that each plane is of
+        self._given: dict[str, tuple[int, ...]] = {"features": tuple(self._whole)}
+        self._parts: dict[str, tuple[int, ...]] = {}
+        self._paired: set[str] = set()
         self._steps: dict[int, Steps] = {}
 
     def take(self, node: Node, tensors: Mapping[str, np.ndarray]) -> Planes | None:
@@ -156,33 +193,38 @@ class _Pixels:
             It is none that an export of stillray writes.
         """
         name, made = node.inputs[0], node.outputs[0]
-        if node.operator == "Transpose" and name == "features":
-            _only(node, 1, {"perm": (0, 3, 1, 2)})
-            _require(node, "perm" in node.attributes, "must have perm (0, 3, 1, 2)")
-            self._parts[made] = self._whole
+        if node.operator == "Reshape" and name == "features":
+            pairs = _Inputs(node, {}, tensors).shape(1)
+            wanted = (0, 0, -1, 2 * len(self._whole))
+            _require(node, pairs == wanted, f"must make pairs of pixels, {wanted}, got {pairs}")
+            self._given[made] = (*self._whole, *self._whole)
+            return None
+        if node.operator == "Transpose" and name in self._given:
+            _only(node, 1, {"perm": _TO_PLANES})
+            _require(node, "perm" in node.attributes, f"must have perm {_TO_PLANES}")
+            self._parts[made] = self._given[name]
+            if name != "features":
+                self._paired.add(made)
             return None
         _require(node, name in self._parts, "must not take the input's integers")
-        part = self._parts[name]
-        inputs = _Inputs(node, {name: Planes(len(part), 1)}, tensors)
-        if node.operator == "Slice":
+        part, across = self._parts[name], 2 if name in self._paired else None
+        inputs = _Inputs(node, {name: Planes(len(part), 1, across)}, tensors)
+        if node.operator == "Slice" and across is None:
             count = _part(node, inputs)[0].count
             start = inputs.number(1)
             self._parts[made] = part[start : start + count]
             return None
         _require(node, node.operator == _DEQUANTIZE, "must not take the input's integers")
-        planes, _ = _in_steps(node, inputs)
-        zero = inputs.integers(2)
-        _require(node, zero.dtype == np.uint8, "must take integers without a sign")
-        found = Steps(float(inputs.tensor(1)), int(zero))
+        found = _steps(node, inputs)
         for plane in part:
             _require(node, self._steps.setdefault(plane, found) == found, "must agree on steps")
-        return planes
+        return inputs.planes(0)
 
     def takes(self, node: Node) -> bool:
-        return any(name == "features" or name in self._parts for name in node.inputs)
+        return any(name in self._given or name in self._parts for name in node.inputs)
 
     def names(self) -> set[str]:
-        return set(self._parts)
+        return {*self._given, *self._parts}
 
     def steps(self) -> tuple[Steps, ...]:
         """Of all planes."""
@@ -217,6 +259,14 @@ class _Inputs:
         return len(self._node.inputs)
 
     def planes(self, place: int) -> Planes:
+        """Planes of numbers."""
+        found = self.given(place)
+        numbers = found.order == PLANES and found.steps is None
+        _require(self._node, numbers, f"must take {self._name(place)} as planes of numbers")
+        return found
+
+    def given(self, place: int) -> Planes:
+        """Planes of numbers or integers, in any order."""
         name = self._name(place)
         if name not in self._known:
             raise GraphError(f"{self._node.operator} takes {name}, which nothing has given")
@@ -240,11 +290,22 @@ class _Inputs:
 
     def number(self, place: int) -> int:
         """A tensor of the file that holds one whole number."""
+        (found, *more) = self._whole_numbers(place)
+        _require(self._node, not more, f"must take one whole number for {self._name(place)}")
+        return found
+
+    def shape(self, place: int) -> tuple[int, ...]:
+        """A tensor of the file that holds the four numbers of a shape."""
+        found = self._whole_numbers(place)
+        _require(self._node, len(found) == _RANK, f"must take a shape for {self._name(place)}")
+        return found
+
+    def _whole_numbers(self, place: int) -> tuple[int, ...]:
         name = self._name(place)
         found = self._tensors.get(name)
         if found is None or found.dtype != np.int64:
             raise GraphError(f"{self._node.operator} must take a whole number for {name}")
-        return int(found[0])
+        return tuple(int(number) for number in found)
 
     def is_left_out(self, place: int) -> bool:
         return self._name(place) == ""
@@ -287,17 +348,20 @@ def _convolution(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
         bias = inputs.tensor(2).shape
         _require(node, bias == (count,), f"must have a bias of {count} numbers, got {bias}")
     strides = node.attributes.get("strides", (1, 1))
-    _require(node, strides in ((1, 1), (2, 2)), f"must have strides of 1 or 2, got {strides}")
+    # of pairs of pixels every one is taken, which makes pixels of every other again
+    pairs = taken.columns == 2 * taken.reduction
+    known = ((1, 1), (2, 1)) if pairs else ((1, 1), (2, 2))
+    _require(node, strides in known, f"must have strides of 1 or 2, got {strides}")
     pads = node.attributes.get("pads", (0, 0, 0, 0))
     _require(node, len(pads) == _RANK and min(pads) >= 0, f"must have four pads, got {pads}")
-    step = strides[0]
-    for size, before, after in zip(sizes, pads[:2], pads[2:], strict=True):
+    for size, before, after, step in zip(sizes, pads[:2], pads[2:], strides, strict=True):
         # exactly a ``step``-th of the pixels comes out, from any whole number of them
         fits = size - step <= before + after < size
         _require(node, fits, f"must keep the size of images, got pads {pads}")
-    reduction = taken.reduction * step
-    _require(node, reduction <= _MAX_REDUCTION, f"must reduce {_MAX_REDUCTION} times at most")
-    return Planes(count, reduction), float(weights.size)
+    rows, columns = taken.reduction * strides[0], taken.columns * strides[1]
+    fits = max(rows, columns) <= _MAX_REDUCTION
+    _require(node, fits, f"must reduce {_MAX_REDUCTION} times at most")
+    return Planes(count, 1).of_size(rows, columns), float(weights.size)
 
 
 def _pointwise(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
@@ -337,15 +401,20 @@ def _part(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
         _require(node, step == 1, f"must take every plane, got steps of {step}")
     end = min(end, taken.count)
     _require(node, 0 <= start < end, f"must take planes that there are, got {start} to {end}")
-    return Planes(end - start, taken.reduction), 0.0
+    return replace(taken, count=end - start), 0.0
 
 
 def _concatenation(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
     _only(node, (1, MAX_PLANES), {"axis": 1})
     _require(node, "axis" in node.attributes, "must have axis 1")
+    if len(inputs) > 0 and inputs.given(0).order == ROWS:
+        twice = len(set(node.inputs)) == 1 and len(node.inputs) == 2
+        _require(node, twice, "must take rows of pixels twice")
+        return replace(inputs.given(0), order=ROWS_TWICE), 0.0
     parts = [inputs.planes(place) for place in range(len(inputs))]
-    _require(node, len({part.reduction for part in parts}) == 1, "must take images of one size")
-    return Planes(sum(part.count for part in parts), parts[0].reduction), 0.0
+    sizes = {(part.reduction, part.columns) for part in parts}
+    _require(node, len(sizes) == 1, "must take images of one size")
+    return replace(parts[0], count=sum(part.count for part in parts)), 0.0
 
 
 def _pooling(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
@@ -356,6 +425,7 @@ def _pooling(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
     for name in ("kernel_shape", "strides"):
         _require(node, name in node.attributes, f"must have {name} (2, 2)")
     taken = inputs.planes(0)
+    _require(node, taken.across is None, "must take whole pixels")
     reduction = taken.reduction * 2
     _require(node, reduction <= _MAX_REDUCTION, f"must reduce {_MAX_REDUCTION} times at most")
     return Planes(taken.count, reduction), 0.0
@@ -369,18 +439,30 @@ def _doubling(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
     taken, scales = inputs.planes(0), inputs.tensor(2)
     _require(node, inputs.is_left_out(1), "must resize whole images")
     doubles = scales.shape == (_RANK,) and scales.tolist() == [1, 1, 2, 2]
+    doubles = doubles and taken.across is None
     _require(node, doubles and taken.reduction > 1, "must double what was reduced")
     return Planes(taken.count, taken.reduction // 2), 0.0
 
 
-def _in_steps(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
-    """Images to integers of 8 bits, or back: one scale and one zero for all planes."""
+def _steps(node: Node, inputs: _Inputs) -> Steps:
+    """What integers of 8 bits stand for: one scale and one zero for all planes."""
     _only(node, 3, {"axis": None})
     scale, zero = inputs.tensor(1), inputs.integers(2)
     _require(node, scale.shape == () == zero.shape, "must have one scale for an image")
     _require(node, float(scale) > 0, f"must have a scale above 0, got {float(scale)}")
-    _require(node, zero.dtype != np.int32, "must make integers of 8 bits of an image")
-    return inputs.planes(0), 0.0
+    _require(node, zero.dtype == np.uint8, "must make integers of 8 bits without a sign")
+    return Steps(float(scale), int(zero))
+
+
+def _made_integers(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
+    return replace(inputs.planes(0), steps=_steps(node, inputs)), 0.0
+
+
+def _made_numbers(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
+    taken, steps = inputs.given(0), _steps(node, inputs)
+    fits = taken.order == PLANES and taken.steps == steps
+    _require(node, fits, "must take planes that were made integers in the same steps")
+    return replace(taken, steps=None), 0.0
 
 
 def _dequantized(node: Node, inputs: _Inputs) -> np.ndarray:
@@ -401,20 +483,52 @@ def _dequantized(node: Node, inputs: _Inputs) -> np.ndarray:
 
 
 def _turned(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
-    raise GraphError("Transpose must take the input's integers")
+    """Integers in another order."""
+    _only(node, 1, {"perm": None})
+    taken, perm = inputs.given(0), node.attributes.get("perm", ())
+    _require(node, taken.steps is not None, "must take integers")
+    order = _TURNED.get((taken.order, perm))
+    if order is None:
+        raise GraphError(f"Transpose must turn {taken.order} in a known way, got perm {perm}")
+    return replace(taken, order=order), 0.0
 
 
+def _regrouped(node: Node, inputs: _Inputs) -> tuple[Planes, float]:
+    """Integers whose pixels, or rows, are counted otherwise; none of them moves."""
+    _only(node, 2, {"allowzero": 0})
+    taken, shape = inputs.given(0), inputs.shape(1)
+    _require(node, taken.steps is not None, "must take integers")
+    count = shape[3]
+    if taken.order == PIXELS and shape[:3] == (0, 0, -1) and 2 * count == taken.count:
+        _require(node, taken.columns % 2 == 0, "must take pixels apart that are pairs")
+        made = taken.of_size(taken.reduction, taken.columns // 2)
+        return replace(made, count=count), 0.0
+    rows = taken.order in (PIXELS, ROWS_TWICE) and shape == (-1, 1, 0, taken.count)
+    _require(node, rows, f"must make pixels of pairs, or rows, got {shape} of {taken.order}")
+    if taken.order == PIXELS:
+        return replace(taken, order=ROWS), 0.0
+    _require(node, taken.reduction % 2 == 0, "must double what was reduced")
+    return replace(taken.of_size(taken.reduction // 2, taken.columns), order=ROWS), 0.0
+
+
+_TO_PLANES = (0, 3, 1, 2)
+_TURNED = {
+    (PLANES, (0, 2, 3, 1)): PIXELS,
+    (PIXELS, _TO_PLANES): PLANES,
+    (ROWS, (1, 3, 0, 2)): PLANES,
+}
 _DEQUANTIZE = "DequantizeLinear"
 OPERATORS: dict[str, _Rule] = {
     "Add": _add,
     "Clip": _clip,
     "Concat": _concatenation,
     "Conv": _convolution,
-    _DEQUANTIZE: _in_steps,
+    _DEQUANTIZE: _made_numbers,
     "MaxPool": _pooling,
     "Mul": _product,
-    "QuantizeLinear": _in_steps,
+    "QuantizeLinear": _made_integers,
     "Relu": _pointwise,
+    "Reshape": _regrouped,
     "Resize": _doubling,
     "Sigmoid": _pointwise,
     "Slice": _part,

@@ -129,8 +129,8 @@ class Graph:
     """Nodes in the order in which they run, and the tensors that come with them."""
 
     nodes: tuple[Node, ...]
-    # float32, finite; int64 of one number, which says where to cut; uint8, int8 and int32, which
-    # stand for other numbers
+    # float32, finite; int64 of one number, which says where to cut, or of the four of a shape;
+    # uint8, int8 and int32, which stand for other numbers
     tensors: Mapping[str, np.ndarray]
     inputs: tuple[Source, ...]
     outputs: tuple[str, ...]
@@ -257,7 +257,7 @@ def _tensor(wire: Wire, data: memoryview) -> tuple[str, np.ndarray]:
     tensor = wire.decode("tensor", data, _TENSOR)
     name, shape = tensor.get("name", ""), tensor["dims"]
     if tensor.get("data_type") == _INT64:
-        return name, _place(name, tensor)
+        return name, _places(name, tensor)
     if tensor.get("data_type") in _QUANTIZED:
         return name, _integers(name, tensor, _QUANTIZED[tensor["data_type"]])
     if tensor.get("data_type") != _FLOAT:
@@ -274,11 +274,13 @@ def _tensor(wire: Wire, data: memoryview) -> tuple[str, np.ndarray]:
     return name, values.reshape(shape)
 
 
-def _place(name: str, tensor: Mapping[str, Any]) -> np.ndarray:
-    """A place along an axis: one int64."""
+def _places(name: str, tensor: Mapping[str, Any]) -> np.ndarray:
+    """A place along an axis, one int64, or the four of a shape."""
     raw = tensor.get("raw_data", memoryview(b""))
-    if list(tensor["dims"]) != [1] or len(raw) != 8 or tensor["float_data"]:
-        raise WireError(f"its tensor {name} of int64 must hold one number")
+    if list(tensor["dims"]) not in ([1], [4]) or 8 * tensor["dims"][0] != len(raw):
+        raise WireError(f"its tensor {name} of int64 must hold one number, or four")
+    if tensor["float_data"]:
+        raise WireError(f"its tensor {name} holds its numbers in two ways")
     return np.frombuffer(raw, "<i8")
 
 

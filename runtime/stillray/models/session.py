@@ -15,7 +15,7 @@ from stillray.errors import InputError
 from stillray.models.network_graph import GraphError, Interface, interface_of
 from stillray.models.onnx_file import OnnxFile, parse_onnx, read_bytes
 from stillray.models.protobuf import WireError
-from stillray.models.steps import Steps, in_steps
+from stillray.models.steps import InSteps, Steps, in_steps
 
 
 def read_checked(path: Path) -> tuple[OnnxFile, Interface]:
@@ -83,6 +83,7 @@ class Network:
         try:
             file, interface = read_checked(path)
             self.feature_steps = interface.steps
+            self._output_steps = [planes.steps for planes in interface.outputs]
             options = session_options(threads, flush_denormals=True)
             self._session = self._thread.submit(
                 start_session, file.data, path, options, providers
@@ -91,8 +92,8 @@ class Network:
             self.close()
             raise
 
-    def run(self, graph: str, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """The outputs by name, without their batch axis.
+    def run(self, graph: str, inputs: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        """The outputs by name, without their batch axis: arrays, or `InSteps` of integers.
 
         Parameters
         ----------
@@ -117,7 +118,7 @@ class Network:
         options = ort.RunOptions()
         if graph == "weights":
             file, interface = read_checked(self._path)
-            held = {name: file.graph.tensors[name][None] for name, _ in interface.weights}
+            held = {name: file.graph.tensors[name] for name, _ in interface.weights}
             known: Future[Any] = Future()
             known.set_result(held)
             return Running(known, options, self._path)
@@ -125,10 +126,16 @@ class Network:
         if opened is None:
             inputs = {**inputs, "features": self._taken(inputs["features"])}
 
-        def run() -> dict[str, np.ndarray]:
+        def run() -> dict[str, Any]:
             session = self._session if opened is None else opened.result()
             names = [output.name for output in session.get_outputs()]
-            return dict(zip(names, session.run(None, dict(inputs), options), strict=True))
+            found = [array[0] for array in session.run(None, dict(inputs), options)]
+            if opened is None:
+                found = [
+                    array if steps is None else InSteps(array, steps)
+                    for array, steps in zip(found, self._output_steps, strict=True)
+                ]
+            return dict(zip(names, found, strict=True))
 
         return Running(self._thread.submit(run), options, self._path)
 
@@ -179,13 +186,13 @@ class Running:
         """Ask it to end after the operator that it is at; nobody needs to wait for that."""
         self._options.terminate = True
 
-    def result(self) -> dict[str, np.ndarray]:
+    def result(self) -> dict[str, Any]:
         """Wait for the outputs, as `Network.run` gives them."""
         try:
-            outputs = self._future.result()
+            outputs: dict[str, Any] = self._future.result()
         except Exception as error:  # ONNX Runtime's own, without a common base
             raise InputError(f"{self._path}: cannot be run: {first_line(error)}") from None
-        return {name: output[0] for name, output in outputs.items()}
+        return outputs
 
 
 class WatchedEngine:

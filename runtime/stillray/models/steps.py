@@ -27,6 +27,44 @@ class Steps:
     zero: int
 
 
+@dataclass(frozen=True, eq=False)
+class InSteps:
+    """Planes of numbers, as a network in integers gives them.
+
+    Attributes
+    ----------
+    integers : (planes, h, w) uint8
+    steps
+        What they stand for.
+    """
+
+    integers: np.ndarray
+    steps: Steps
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the planes."""
+        return self.integers.shape
+
+    def numbers(self) -> np.ndarray:
+        """The numbers, ``(planes, h, w)`` float32."""
+        return numbers_of(self.steps)[self.integers]
+
+
+#: What a network gives: planes of numbers, or of integers that stand for some.
+Output = np.ndarray | InSteps
+
+
+def in_numbers(outputs: Iterable[Output]) -> list[np.ndarray]:
+    """Outputs of a network as numbers, whatever it gave."""
+    return [each.numbers() if isinstance(each, InSteps) else each for each in outputs]
+
+
+def numbers_of(steps: Steps) -> np.ndarray:
+    """What each of the 256 integers stands for, float32."""
+    return (np.arange(256) - steps.zero).astype(np.float32) * np.float32(steps.scale)
+
+
 def in_steps(
     planes: Iterable[np.ndarray], steps: Sequence[Steps], out: np.ndarray, workspace: Workspace
 ) -> np.ndarray:
