@@ -224,7 +224,8 @@ def test_a_past_is_worth_no_more_samples_than_looks_have_blurred(rng, most_blur)
     motion[2:4] = 1.5  # three pixels of the picture: nothing is blurred
     full = [rng.uniform(0, 30, (*grid.shape, 4)).astype(np.float32) for _ in range(4)]
     before = Remembered(Accumulated(*full[:3]), full[3], 1.0)
-    found = warped(before, grid, motion, most_blur, Strips(1))
+    room = [np.full((*grid.full, 4), np.nan, np.float32) for _ in range(4)]
+    found = warped(before, grid, motion, most_blur, Strips(1), room)
     positions, inside = grid.past_positions(motion, slice(0, grid.full[0]))
     kept = found.accumulated
     for image, source in zip((kept.light, kept.albedo, kept.specular), full, strict=False):

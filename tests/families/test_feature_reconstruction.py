@@ -51,7 +51,14 @@ def case(rng, height, width, spread=1.0):
 def in_runtime(frame, past, planes, strips=None, rules=RULES):
     kept = Accumulated(past["light"], past["albedo"], past["specular"])
     with_past = Past(kept, past["output"])
-    image, after = reconstruct(Enlarged(**frame), with_past, planes, rules, strips or Strips(1))
+    image, after = reconstruct(
+        Enlarged(**frame),
+        with_past,
+        planes,
+        rules,
+        strips or Strips(1),
+        Accumulated.empty(frame["color"].shape[:2]),
+    )
     return {
         "image": image,
         "light": after.light,
@@ -120,7 +127,14 @@ def test_without_a_past_nothing_of_it_shows(rng):
     frame, past, planes = case(rng, 16, 16)
     empty = {name: np.zeros_like(image) for name, image in past.items()}
     empty["output"] = past["output"]  # not known, though there
-    image, after = reconstruct(Enlarged(**frame), None, planes, RULES, Strips(1))
+    image, after = reconstruct(
+        Enlarged(**frame),
+        None,
+        planes,
+        RULES,
+        Strips(1),
+        Accumulated.empty(frame["color"].shape[:2]),
+    )
     found = in_runtime(frame, empty, planes)
     np.testing.assert_array_equal(image, found["image"])
     np.testing.assert_array_equal(after.light, found["light"])
@@ -142,6 +156,13 @@ def test_equal_frames_are_worth_as_many_samples_as_there_were(rng):
     frame, _, planes = case(rng, 16, 16, 0.0)  # logits of 0: the plain mean
     past = None
     for count in range(1, 41):
-        _, kept = reconstruct(Enlarged(**frame), past, planes, RULES, Strips(1))
+        _, kept = reconstruct(
+            Enlarged(**frame),
+            past,
+            planes,
+            RULES,
+            Strips(1),
+            Accumulated.empty(frame["color"].shape[:2]),
+        )
         np.testing.assert_allclose(kept.light[..., 3], min(count, 32), rtol=1e-4)
         past = Past(kept, np.zeros((16, 16, 4), np.float32))

@@ -8,6 +8,7 @@ remembered begin anew; whether a past still holds is for the network to say.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -205,7 +206,10 @@ class FeatureFiltersModel:
         with timed(context.timings, "network"):
             outputs = list(context.engine.run("network", {"features": planes}).values())
         with timed(context.timings, "reconstruct"):
-            image, kept = reconstruct(seen.frame, seen.past, outputs, self.rules, context.strips)
+            room = _room(seen.grid, context)
+            image, kept = reconstruct(
+                seen.frame, seen.past, outputs, self.rules, context.strips, room
+            )
             image = cut(image, seen.grid.shape, context.strips)
         found: lamps.Restored | None = None
         if plan.runs("lamps"):
@@ -217,7 +221,7 @@ class FeatureFiltersModel:
             temporal: Remembered | None = None
             if plan.runs("remember"):
                 with timed(context.timings, "remember"):
-                    temporal = _remember(seen, image, kept, context.strips)
+                    temporal = _remember(seen, image, kept, context)
                     if found is not None:
                         found.take_back(temporal.output, before, self.scale)
             return State(shape=plan.shape, temporal=temporal)
@@ -239,30 +243,39 @@ class FeatureFiltersModel:
         buffers, timings, strips = plan.buffers, context.timings, context.strips
         grid = Grid.of(plan.shape, self.scale, self.alignment, plan.jitter)
 
-        def taken(image: np.ndarray | None) -> np.ndarray | None:
-            return None if image is None else grid.taken(image, strips)
+        def taken(name: str, image: np.ndarray | None) -> np.ndarray | None:
+            if image is None:
+                return None
+            shape = (*grid.full, *image.shape[2:])
+            return grid.taken(image, strips, context.workspace.array(f"taken {name}", shape))
 
         with timed(timings, "expose"):
             exposure, color = self._exposed(plan, context)
         with timed(timings, "enlarge"):
             black = np.zeros((*grid.full, 3), np.float32)
-            albedo, specular = taken(buffers.albedo), taken(plan.guides.get("specular_albedo"))
+            lit = taken("color", color)
+            albedo = taken("albedo", buffers.albedo)
+            specular = taken("specular albedo", plan.guides.get("specular_albedo"))
+            assert lit is not None
             frame = Enlarged(
-                color=grid.taken(color, strips),
+                color=lit,
                 albedo=black if albedo is None else albedo,
                 specular=black if specular is None else specular,
             )
             surfaces = Surfaces(
-                normal=taken(buffers.normal),
-                roughness=taken(plan.guides.get("roughness")),
-                depth=taken(buffers.depth),
+                normal=taken("normal", buffers.normal),
+                roughness=taken("roughness", plan.guides.get("roughness")),
+                depth=taken("depth", buffers.depth),
                 depth_unit=1.0 if buffers.depth is None else features.depth_scale(buffers.depth),
             )
         past: Past | None = None
         if plan.past is not None and buffers.motion is not None:
             with timed(timings, "warp"):
                 motion = dilated(buffers.motion, buffers.depth, strips)
-                past = warped(plan.past, grid, motion, self.rules.most_blur, strips)
+                room = [
+                    context.workspace.array(f"past {index}", (*grid.full, 4)) for index in range(4)
+                ]
+                past = warped(plan.past, grid, motion, self.rules.most_blur, strips, room)
         return _Seen(grid, frame, surfaces, past, exposure)
 
     def _exposed(self, plan: UpscalePlan, context: Context) -> tuple[float, np.ndarray]:
@@ -333,7 +346,12 @@ def _past_of(
 
 
 def warped(
-    before: Remembered, grid: Grid, motion: np.ndarray, most_blur: float, strips: Strips
+    before: Remembered,
+    grid: Grid,
+    motion: np.ndarray,
+    most_blur: float,
+    strips: Strips,
+    room: Sequence[np.ndarray],
 ) -> Past:
     """What is remembered, at the pixels of a grid; without samples where it lay outside.
 
@@ -349,27 +367,48 @@ def warped(
         See `Rules`.
     strips
         Where the work runs.
+    room : four arrays (H, W, 4) float32 of the grid
+        Where the result lies.
     """
     kept = before.accumulated
     remembered = (kept.light, kept.albedo, kept.specular, before.output)
-    images = [np.empty((*grid.full, 4), np.float32) for _ in remembered]
 
     def work(rows: slice) -> None:
         positions, inside = grid.past_positions(motion, rows)
         outside = np.flatnonzero(~inside)
-        for source, image in zip(remembered, images, strict=True):
+        for source, image in zip(remembered, room, strict=True):
             pixels_of(recalled(source, positions, out=image[rows]))[outside] = 0
         if most_blur:
-            for image in images[:3]:
+            for image in room[:3]:
                 bound_blur(image[rows], positions, most_blur, strips.workspace)
 
     strips.run(work, *grid.full, pixels=STRIP_PIXELS // 2)
-    return Past(Accumulated(*images[:3]), images[3])
+    return Past(Accumulated(*room[:3]), room[3])
 
 
-def _remember(seen: _Seen, image: np.ndarray, kept: Accumulated, strips: Strips) -> Remembered:
-    height, width = seen.grid.shape
-    output, depth = np.empty((height, width, 4), np.float32), seen.surfaces.depth
+def _old(grid: Grid, context: Context) -> Remembered | None:
+    """What was remembered before the last frame, of this grid: its memory may be written over."""
+    state = context.back_buffer
+    found = state.temporal if isinstance(state, State) else None
+    fits = isinstance(found, Remembered) and found.output.shape[:2] == grid.shape
+    return found if fits and isinstance(found, Remembered) else None
+
+
+def _room(grid: Grid, context: Context) -> Accumulated:
+    """Where what a frame accumulates is to lie."""
+    if grid.full == grid.shape:
+        old = _old(grid, context)
+        return Accumulated.empty(grid.full) if old is None else old.accumulated
+    return Accumulated(
+        *(context.workspace.array(f"kept {index}", (*grid.full, 4)) for index in range(3))
+    )
+
+
+def _remember(seen: _Seen, image: np.ndarray, kept: Accumulated, context: Context) -> Remembered:
+    grid, depth, strips = seen.grid, seen.surfaces.depth, context.strips
+    height, width = grid.shape
+    old = _old(grid, context)
+    output = np.empty((height, width, 4), np.float32) if old is None else old.output
 
     def work(rows: slice) -> None:
         output[rows, :, :3] = image[rows]
@@ -378,5 +417,5 @@ def _remember(seen: _Seen, image: np.ndarray, kept: Accumulated, strips: Strips)
     strips.run(work, height, width)
     parts = (kept.light, kept.albedo, kept.specular)
     return Remembered(
-        Accumulated(*(cut(part, seen.grid.shape, strips) for part in parts)), output, seen.exposure
+        Accumulated(*(cut(part, grid.shape, strips) for part in parts)), output, seen.exposure
     )

@@ -72,6 +72,11 @@ class Accumulated:
     albedo: np.ndarray
     specular: np.ndarray
 
+    @classmethod
+    def empty(cls, shape: tuple[int, int]) -> Accumulated:
+        """Room for means of a height and width."""
+        return cls(*(np.empty((*shape, 4), np.float32) for _ in range(3)))
+
 
 @dataclass(frozen=True, eq=False)
 class Past:
@@ -118,6 +123,7 @@ def reconstruct(
     outputs: Sequence[Output],
     rules: Rules,
     strips: Strips,
+    room: Accumulated,
 ) -> tuple[np.ndarray, Accumulated]:
     """The picture of a frame, and what is accumulated with it.
 
@@ -134,6 +140,8 @@ def reconstruct(
         Of the specification.
     strips
         Where the work runs.
+    room
+        Where what is accumulated lies.
 
     Returns
     -------
@@ -143,14 +151,14 @@ def reconstruct(
     accumulated
         For the next frame.
     """
-    image, accumulated = _Reconstruction(frame, past, outputs, rules, strips).run()
+    image, accumulated = _Reconstruction(frame, past, outputs, rules, strips, room).run()
     floats = [planes for planes in outputs if not isinstance(planes, InSteps)]
     if np.isnan(image.max()) and any(np.isnan(planes.max()) for planes in floats):
         outputs = [
             planes if isinstance(planes, InSteps) else np.nan_to_num(planes, nan=0.0)
             for planes in outputs
         ]
-        image, accumulated = _Reconstruction(frame, past, outputs, rules, strips).run()
+        image, accumulated = _Reconstruction(frame, past, outputs, rules, strips, room).run()
     return image, accumulated
 
 
@@ -164,6 +172,7 @@ class _Reconstruction:
         outputs: Sequence[Output],
         rules: Rules,
         strips: Strips,
+        room: Accumulated,
     ) -> None:
         self._frame, self._past, self._rules, self._strips = frame, past, rules, strips
         self._size = (frame.color.shape[0], frame.color.shape[1])
@@ -179,7 +188,7 @@ class _Reconstruction:
         self._light = strips.workspace.array("accumulated light", (4, *self._size))
         # by accumulated albedo and specular albedo
         self._divisors = strips.workspace.array("divisors", (6, *self._size))
-        self._kept = Accumulated(*(np.empty((*self._size, 4), np.float32) for _ in range(3)))
+        self._kept = room
 
     def run(self) -> tuple[np.ndarray, Accumulated]:
         self._filter(0, 3, self._layout.light, self._fill_color, self._accumulate_light)

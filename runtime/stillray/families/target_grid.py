@@ -69,15 +69,14 @@ class Grid:
         """Rows of the picture, ``(rows, full width, ...)``, of an image of the frame."""
         return np.take(image[self.rows[rows]], self.columns, axis=1)
 
-    def taken(self, image: np.ndarray, strips: Strips) -> np.ndarray:
-        """`take` of all rows of the picture."""
-        result = np.empty((*self.full, *image.shape[2:]), np.float32)
+    def taken(self, image: np.ndarray, strips: Strips, out: np.ndarray) -> np.ndarray:
+        """`take` of all rows of the picture: written to ``out``, which is returned."""
 
         def work(rows: slice) -> None:
-            result[rows] = self.take(image, rows)
+            out[rows] = self.take(image, rows)
 
         strips.run(work, *self.full)
-        return result
+        return out
 
     def past_positions(self, motion: np.ndarray, rows: slice) -> tuple[np.ndarray, np.ndarray]:
         """Where pixels of some rows were in the last picture, and whether that is in it.
