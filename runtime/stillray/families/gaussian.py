@@ -73,7 +73,7 @@ def gaussian(
     total = workspace.array("total", (height, width))
     np.copyto(total, weights.own)
     for plane, sums in zip(values, out, strict=True):
-        np.multiply(plane[inner], weights.own, out=sums)
+        cv2.multiply(plane[inner], weights.own, dst=sums)
     # what a pixel gives to others is weighed once, not for each of them
     given = workspace.array("given", values.shape)
     for plane, target in zip(values, given, strict=True):
@@ -103,7 +103,8 @@ def gaussian(
             for plane, sums in zip(given, out, strict=True):
                 cv2.accumulateProduct(plane[place], reached, sums)
     np.reciprocal(total, out=total)
-    out *= total
+    for sums in out:
+        cv2.multiply(sums, total, dst=sums)
 
 
 def measured(features: np.ndarray, norms: np.ndarray) -> None:

@@ -587,5 +587,5 @@ def _weigh_brighter_less(toned: np.ndarray, weights: np.ndarray, workspace: Work
     np.copyto(own, toned[1:-1, 1:-1])
     np.reciprocal(toned, out=toned)
     for weight, (down, right) in zip(weights, NEIGHBOURS, strict=True):
-        np.multiply(own, toned[1 + down :, 1 + right :][:height, :width], out=less)
-        weight *= at_most(less, 1, out=less)
+        cv2.multiply(own, toned[1 + down :, 1 + right :][:height, :width], dst=less)
+        cv2.multiply(weight, at_most(less, 1, out=less), dst=weight)
