@@ -171,6 +171,7 @@ def decoded(
         [part[0] for part in planes],
         FeatureFiltersModel(spec).rules,
         Strips(1),
+        runtime.Accumulated.empty((output.shape[0], output.shape[1])),
     )
     parts = (found, kept.light, kept.albedo, kept.specular)
     return {
