@@ -120,7 +120,9 @@ def test_exr_goes_in_and_comes_out(files, capsys):
     assert read_metadata("out.exr").nchannels == 3
     write_exr("albedo.exr", files.albedo)  # R, G, B alone are what the option says they are
     assert main(["--hdr", "color.exr", "--alb", "albedo.exr", "-o", "two.exr", *FAST]) == 0
-    np.testing.assert_allclose(read_exr("two.exr").color, clean, atol=5e-3)
+    # rounded to half floats, what a network in integers is told may be the next step
+    np.testing.assert_allclose(read_exr("two.exr").color, clean, atol=2e-2)
+    np.testing.assert_allclose(read_exr("two.exr").color.mean(), clean.mean(), rtol=1e-3)
 
 
 def test_directional_lightmaps_keep_their_sign(files, capsys):
