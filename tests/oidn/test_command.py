@@ -122,7 +122,7 @@ def test_exr_goes_in_and_comes_out(files, capsys):
     assert main(["--hdr", "color.exr", "--alb", "albedo.exr", "-o", "two.exr", *FAST]) == 0
     # rounded to half floats, what a network in integers is told may be the next step
     np.testing.assert_allclose(read_exr("two.exr").color, clean, atol=2e-2)
-    np.testing.assert_allclose(read_exr("two.exr").color.mean(), clean.mean(), rtol=1e-3)
+    np.testing.assert_allclose(read_exr("two.exr").color.mean(), clean.mean(), rtol=5e-3)
 
 
 def test_directional_lightmaps_keep_their_sign(files, capsys):
