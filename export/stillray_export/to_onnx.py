@@ -185,8 +185,9 @@ def as_specified_now(trained: ModelSpec) -> ModelSpec:
         return trained
     if now.family != trained.family or now.network != trained.network:
         return trained
-    # the resolve's tone is a rule as well: no output of the network is there for it
-    rules = {k: v for k, v in vars(trained.decoder).items() if k == "resolve_tone"}
+    # rules as well: no output of the network is there for them
+    names = ("resolve_tone", "sharp_recall")
+    rules = {name: value for name, value in vars(trained.decoder).items() if name in names}
     if dataclasses.replace(now.decoder, **rules) != trained.decoder:
         return trained
     return dataclasses.replace(now, training=trained.training)

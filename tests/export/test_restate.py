@@ -28,7 +28,8 @@ def former(tmp_path):
         shutil.copy(path, tmp_path)
     spec = load(NAME)
     rules = dataclasses.replace(spec.temporal, most_blur=0.0, max_samples=3.0)
-    before = dataclasses.replace(spec, temporal=rules, differs=("old; here new",))
+    decoder = dataclasses.replace(spec.decoder, resolve_tone=0.5, sharp_recall=False)
+    before = dataclasses.replace(spec, temporal=rules, decoder=decoder, differs=("old; here new",))
     path = tmp_path / packaged.name
     for file in (path, path.with_name(f"{NAME}{WHOLE_SUFFIX}.onnx"), int8_path(path)):
         model = onnx.load(file)
@@ -45,6 +46,7 @@ def test_files_say_what_is_specified_today_and_give_the_pictures_of_it(former):
     ]  # fmt: skip
     anew = find_model(former)
     assert anew.spec.temporal == load(NAME).temporal
+    assert anew.spec.decoder == load(NAME).decoder
     assert anew.spec.differs == load(NAME).differs
     assert anew.provenance == packaged.provenance
     frames = [make_frame(24, 33, seed) for seed in range(3)]

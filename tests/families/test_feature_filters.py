@@ -11,6 +11,7 @@ import torch
 
 import stillray
 from stillray.arrays.strips import Strips
+from stillray.arrays.workspace import Workspace
 from stillray.families.feature_filters import FeatureFiltersModel, Remembered, warped
 from stillray.families.feature_reconstruction import Accumulated
 from stillray.families.filter_layout import target_layout
@@ -29,9 +30,10 @@ from stillray_training.upscaling import unroll
 BOTH = ["munet-x2", "munet-x1"]
 
 
-def info(name, **temporal):
+def info(name, *, sharp=True, **temporal):
     spec = load(name)
-    spec = replace(spec, temporal=replace(spec.temporal, **temporal))
+    decoder = replace(spec.decoder, sharp_recall=sharp)
+    spec = replace(spec, temporal=replace(spec.temporal, **temporal), decoder=decoder)
     outputs = tuple(Planes(count, part) for count, part in network_outputs(spec))
     return ModelInfo(
         name=spec.name, family=spec.family, summary="", aliases=(), path=Path("none.onnx"),
@@ -148,14 +150,18 @@ def test_pictures_scale_with_their_light(rng, denoiser):
     )
 
 
-@pytest.mark.parametrize("most_blur", [0.0, 0.3])
+# a sharp look at the border sees whether the picture ends there, as it does not in a padded one
+@pytest.mark.parametrize(
+    ("most_blur", "sharp", "size"),
+    [(0.0, False, (7, 11)), (0.3, False, (7, 11)), (0.3, True, (8, 16))],
+)
 @pytest.mark.parametrize("name", BOTH)
-def test_training_sees_what_the_runtime_does(rng, name, most_blur):
-    """The recurrence in PyTorch on the same frames gives the same pictures, at odd sizes."""
-    model = info(name, most_blur=most_blur)
+def test_training_sees_what_the_runtime_does(rng, name, most_blur, sharp, size):
+    """The recurrence in PyTorch on the same frames gives the same pictures, at odd sizes too."""
+    model = info(name, most_blur=most_blur, sharp=sharp)
     spec, engine = model.spec, Untrained(name)
     network = engine.network
-    given = [frame(rng) for _ in range(4)]
+    given = [frame(rng, size) for _ in range(4)]
     before, exposure = None, None
     denoiser = Denoiser(model, threads=1, engine=engine)
     for one in given:
@@ -224,8 +230,9 @@ def test_a_past_is_worth_no_more_samples_than_looks_have_blurred(rng, most_blur)
     motion[2:4] = 1.5  # three pixels of the picture: nothing is blurred
     full = [rng.uniform(0, 30, (*grid.shape, 4)).astype(np.float32) for _ in range(4)]
     before = Remembered(Accumulated(*full[:3]), full[3], 1.0)
-    room = [np.full((*grid.full, 4), np.nan, np.float32) for _ in range(4)]
-    found = warped(before, grid, motion, most_blur, Strips(1), room)
+    rules = replace(FeatureFiltersModel(load("munet-x1")).rules, most_blur=most_blur)
+    rules = replace(rules, filters=replace(rules.filters, sharp_recall=False))
+    found = warped(before, grid, motion, rules, Strips(1), Workspace())
     positions, inside = grid.past_positions(motion, slice(0, grid.full[0]))
     kept = found.accumulated
     for image, source in zip((kept.light, kept.albedo, kept.specular), full, strict=False):
@@ -240,6 +247,28 @@ def test_a_past_is_worth_no_more_samples_than_looks_have_blurred(rng, most_blur)
         np.testing.assert_allclose(image, expected, rtol=1e-5)
     assert kept.light[5, 3, 3] == pytest.approx(full[0][8, 6, 3])
     np.testing.assert_array_equal(found.output[inside], recalled(full[3], positions)[inside])
+
+
+def test_an_edge_that_moves_frame_after_frame_stays_sharp():
+    grid, flat = Grid.of((8, 64), 1, 8, None), np.ones((8, 64, 4), np.float32)
+    motion = np.zeros((8, 64, 2), np.float32)
+    motion[..., 0] = -0.5
+    widths = {}
+    for sharp in (False, True):
+        rules = FeatureFiltersModel(info("munet-x1", sharp=sharp).spec).rules
+        picture = flat.copy()
+        picture[:, :20, :3] = 0
+        for _ in range(16):
+            before = Remembered(Accumulated(flat, picture, flat), picture, 1.0)
+            found = warped(before, grid, motion, rules, Strips(1), Workspace())
+            assert found.output.max() <= 1 + 1e-6
+            picture = found.output
+            picture[:, :2] = picture[:, 2:3]
+        line = picture[4, :, 0]
+        widths[sharp] = int(((line > 0.05) & (line < 0.95)).sum())
+        apart = np.abs(found.output - found.accumulated.albedo)[..., :3].max()
+        assert (apart > 0.02) == sharp  # the last output alone is sharpened
+    assert widths[True] <= 3 < 2 * widths[True] < widths[False]
 
 
 def test_past_positions_are_those_of_the_picture():

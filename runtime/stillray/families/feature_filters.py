@@ -8,7 +8,6 @@ remembered begin anew; whether a past still holds is for the network to say.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -16,6 +15,7 @@ import numpy as np
 
 from stillray.arrays.extend import cut
 from stillray.arrays.strips import STRIP_PIXELS, Strips, pixels_of, with_halo
+from stillray.arrays.workspace import Workspace
 from stillray.families.contract import Context, Request, State, Step, Traits
 from stillray.families.cost import feature_filters_cost
 from stillray.families.feature_reconstruction import (
@@ -35,6 +35,7 @@ from stillray.stages.accumulate import bounded
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.repair import Buffers, all_within, repair_feature
 from stillray.stages.reproject import bound_blur
+from stillray.stages.sharpening import Sharpening, scale
 from stillray.timing import timed
 
 #: Frames that a frame's history is taken to go back.
@@ -272,10 +273,7 @@ class FeatureFiltersModel:
         if plan.past is not None and buffers.motion is not None:
             with timed(timings, "warp"):
                 motion = dilated(buffers.motion, buffers.depth, strips)
-                room = [
-                    context.workspace.array(f"past {index}", (*grid.full, 4)) for index in range(4)
-                ]
-                past = warped(plan.past, grid, motion, self.rules.most_blur, strips, room)
+                past = warped(plan.past, grid, motion, self.rules, strips, context.workspace)
         return _Seen(grid, frame, surfaces, past, exposure)
 
     def _exposed(self, plan: UpscalePlan, context: Context) -> tuple[float, np.ndarray]:
@@ -349,9 +347,9 @@ def warped(
     before: Remembered,
     grid: Grid,
     motion: np.ndarray,
-    most_blur: float,
+    rules: Rules,
     strips: Strips,
-    room: Sequence[np.ndarray],
+    workspace: Workspace,
 ) -> Past:
     """What is remembered, at the pixels of a grid; without samples where it lay outside.
 
@@ -363,24 +361,31 @@ def warped(
         Of this frame.
     motion : (h, w, 2) float32
         See `stillray.families.target_grid.dilated`.
-    most_blur
-        See `Rules`.
+    rules
+        Of the specification.
     strips
         Where the work runs.
-    room : four arrays (H, W, 4) float32 of the grid
+    workspace
         Where the result lies.
     """
     kept = before.accumulated
-    remembered = (kept.light, kept.albedo, kept.specular, before.output)
+    means = (kept.light, kept.albedo, kept.specular)
+    room = [workspace.array(f"past {index}", (*grid.full, 4)) for index in range(4)]
+    sharp = Sharpening(before.output, strips) if rules.filters.sharp_recall else None
 
     def work(rows: slice) -> None:
         positions, inside = grid.past_positions(motion, rows)
+        for source, image in zip((*means, before.output), room, strict=True):
+            recalled(source, positions, out=image[rows])
+        if sharp is not None:
+            output = room[3][rows]
+            scale(output, sharp.factor(positions, output, None, strips.workspace), strips.workspace)
         outside = np.flatnonzero(~inside)
-        for source, image in zip(remembered, room, strict=True):
-            pixels_of(recalled(source, positions, out=image[rows]))[outside] = 0
-        if most_blur:
+        for image in room:
+            pixels_of(image[rows])[outside] = 0
+        if rules.most_blur:
             for image in room[:3]:
-                bound_blur(image[rows], positions, most_blur, strips.workspace)
+                bound_blur(image[rows], positions, rules.most_blur, strips.workspace)
 
     strips.run(work, *grid.full, pixels=STRIP_PIXELS // 2)
     return Past(Accumulated(*room[:3]), room[3])

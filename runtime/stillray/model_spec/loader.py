@@ -463,6 +463,9 @@ class FeatureFilters(Decoder):
     # Distances, in pixels of the coarsest level, of the 3x3 filters that it goes through one after
     # the other. Models that were exported before it was known have one.
     coarsest_filters: tuple[int, ...] = (1,)
+    # Whether the last output is interpolated by cubic convolution. Models that were exported
+    # before it was known have none of it.
+    sharp_recall: bool = False
 
     def __post_init__(self) -> None:
         _within("decoder.scale", self.scale, 1, 2)

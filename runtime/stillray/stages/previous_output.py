@@ -7,20 +7,15 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from stillray.arrays.bounds import at_least, at_most
 from stillray.arrays.strips import Strips, pixels_of, with_halo
 from stillray.arrays.workspace import Workspace
-from stillray.stages import features as encode
 from stillray.stages.reproject import bilinear
+from stillray.stages.sharpening import WHOLE, Sharpening, scale
 from stillray.stages.state import History, Prepared
 
-_AROUND, _FOUR = np.ones((3, 3), np.uint8), np.ones((2, 2), np.uint8)
-# Shares of the four taps that lie in the frame: below the first, light fades instead of being
-# normalised; above the second, only rounding is missing.
-_LEAST_VALID, _WHOLE = np.float32(1e-3), np.float32(1 - 1e-3)
-# No division by 0; and the most that cubic convolution, limited to the four pixels around, can be
-# above their mean: one of them may have all the light and, 1/64 pixel off, 1/4096 of the weight.
-_DARK, _MOST = np.float32(1e-30), np.float32(4096)
+_AROUND = np.ones((3, 3), np.uint8)
+#: Share of the four taps that lie in the frame below which light fades instead of being normalised.
+_LEAST_VALID = np.float32(1e-3)
 # Of what is lost in confidence: a network may give a past that is hardly valid most of the weight.
 _STEEP = np.float32(2)
 
@@ -158,14 +153,14 @@ def resample(
     if positions is None:
         return output
     past = np.empty((*positions.shape[:2], 4), np.float32) if out is None else out
-    light = _Luminance(output, strips) if sharp else None
+    light = Sharpening(output, strips) if sharp else None
 
     def work(rows: slice) -> None:
         taken, workspace = past[rows], strips.workspace
         valid = _mean_of_taps(output, positions[rows], taken, workspace)
         if light is not None:
-            factor = light.sharpening(positions[rows], taken, valid, workspace)
-            _scale(taken, factor, workspace)
+            factor = light.factor(positions[rows], taken, valid, workspace)
+            scale(taken, factor, workspace)
 
     strips.run(work, *positions.shape[:2])
     return past
@@ -191,86 +186,22 @@ def layer_resampler(
     if positions is None or not sharp:
         return lambda layer: resample(layer, positions, strips)
     height, width = positions.shape[:2]
-    light, factor = _Luminance(output, strips), np.empty((height, width), np.float32)
+    light, factor = Sharpening(output, strips), np.empty((height, width), np.float32)
 
     def sharpening(rows: slice) -> None:
         workspace = strips.workspace
         taken = workspace.array("taken", (*factor[rows].shape, 4))
         valid = _mean_of_taps(output, positions[rows], taken, workspace)
-        factor[rows] = light.sharpening(positions[rows], taken, valid, workspace)
+        factor[rows] = light.factor(positions[rows], taken, valid, workspace)
 
     strips.run(sharpening, height, width)
 
     def follow(layer: np.ndarray) -> np.ndarray:
         past = resample(layer, positions, strips)
-        _scale(past, factor, strips.workspace)
+        scale(past, factor, strips.workspace)
         return past
 
     return follow
-
-
-class _Luminance:
-    """An output's luminance, and the range of each 2x2 pixels from the top left one.
-
-    Lies in the calling thread's workspace arrays until the next one is made.
-    """
-
-    def __init__(self, output: np.ndarray, strips: Strips) -> None:
-        height, width = output.shape[:2]
-        workspace = strips.workspace
-        self._values, self._least, self._most = (
-            workspace.array(f"luminance, {name}", (height, width))
-            for name in ("values", "least", "most")
-        )
-
-        def work(rows: slice) -> None:
-            below = slice(rows.start, min(rows.stop + 1, height))
-            shape = output[below].shape[:2]
-            values = encode.luminance(output[below], out=strips.workspace.array("values", shape))
-            count = rows.stop - rows.start
-            self._values[rows] = values[:count]
-            for limit, extremes in ((cv2.erode, self._least), (cv2.dilate, self._most)):
-                extremes[rows] = limit(values, _FOUR, anchor=(0, 0))[:count]
-
-        strips.run(work, height, width)
-
-    def sharpening(
-        self, positions: np.ndarray, taken: np.ndarray, valid: np.ndarray, workspace: Workspace
-    ) -> np.ndarray:
-        """What makes linear interpolation as sharp as cubic convolution: a factor, ``(h, w)``.
-
-        Parameters
-        ----------
-        positions : (h, w, 2) float32
-        taken, valid
-            What `_mean_of_taps` gave.
-        workspace
-            Where the result lies.
-        """
-        border, shape = cv2.BORDER_REPLICATE, valid.shape
-        sharp, limit, linear = (
-            workspace.array(name, shape) for name in ("sharp", "limit", "linear")
-        )
-        cv2.remap(self._values, positions, None, cv2.INTER_CUBIC, sharp, border)
-        corner = np.floor(positions, out=workspace.array("corner", positions.shape))
-        for limited, extremes in ((cv2.max, self._least), (cv2.min, self._most)):
-            cv2.remap(extremes, corner, None, cv2.INTER_NEAREST, limit, border)
-            limited(sharp, limit, dst=sharp)
-        encode.luminance(taken, out=linear)
-        at_least(linear, _DARK, out=linear)
-        at_least(sharp, _DARK, out=sharp)
-        with np.errstate(over="ignore"):
-            np.divide(sharp, linear, out=sharp)
-        at_most(sharp, _MOST, out=sharp)
-        if valid.min() < _WHOLE:
-            sharp[valid < _WHOLE] = 1
-        return sharp
-
-
-def _scale(taken: np.ndarray, factor: np.ndarray, workspace: Workspace) -> None:
-    # alpha of float images is 1: what lay in the frame stays as it is
-    factors = cv2.cvtColor(factor, cv2.COLOR_GRAY2RGBA, dst=workspace.array("four", taken.shape))
-    cv2.multiply(taken, factors, dst=taken)
 
 
 def _mean_of_taps(
@@ -279,8 +210,8 @@ def _mean_of_taps(
     """Fill means of the taps that there are; the result says how much of them lay in the frame."""
     bilinear(output, positions, taken)
     valid = cv2.extractChannel(taken, 3, dst=workspace.array("valid", taken.shape[:2]))
-    if valid.min() < _WHOLE:
-        at = np.flatnonzero(valid < _WHOLE)
+    if valid.min() < WHOLE:
+        at = np.flatnonzero(valid < WHOLE)
         share = np.maximum(np.take(valid, at), _LEAST_VALID)  # nothing is 0, whatever divides it
         taken.reshape(-1, 4)[at, :3] /= share[:, None]
     return valid

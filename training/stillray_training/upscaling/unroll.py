@@ -10,6 +10,7 @@ from torch.nn import functional as F
 
 from stillray.families.feature_reconstruction import Rules
 from stillray.families.target_planes import FARTHEST, MOST_LIGHT, MU, PERIODS
+from stillray.stages.features import REC709
 from stillray.stages.reproject import LEAST_BLUR
 from stillray_training.decoders.feature_filters import Enlarged, Remembered, reconstruct
 
@@ -49,8 +50,11 @@ def step(
     past = Remembered(*(frame["color"].new_zeros(size[0], 4, *size[2:]) for _ in range(4)))
     if before is not None:
         images = (before.light, before.albedo, before.specular, before.output)
-        moved = warped(torch.cat(images, 1), frame["positions"]) * frame["inside"]
-        past = Remembered(*moved.split(4, 1))
+        moved = warped(torch.cat(images, 1), frame["positions"])
+        if rules.filters.sharp_recall:
+            output = sharply(before.output, frame["positions"])
+            moved = torch.cat([moved[:, :-4], output], 1)
+        past = Remembered(*(moved * frame["inside"]).split(4, 1))
         if rules.most_blur:
             most = rules.most_blur / look_blur(frame["positions"])
             light, albedo, specular = (
@@ -66,12 +70,33 @@ def step(
     return image, after, None if before is None else past.output[:, :3]
 
 
-def warped(images: Tensor, positions: Tensor) -> Tensor:
-    """Images at positions ``(n, h, w, 2)`` within them, pixels, bilinear."""
+def warped(images: Tensor, positions: Tensor, mode: str = "bilinear") -> Tensor:
+    """Images at positions ``(n, h, w, 2)`` within them, pixels."""
     height, width = images.shape[2:]
     most = positions.new_tensor([max(width - 1, 1), max(height - 1, 1)])
     at = positions * (2 / most) - 1
-    return F.grid_sample(images, at, mode="bilinear", padding_mode="border", align_corners=True)
+    return F.grid_sample(images, at, mode=mode, padding_mode="border", align_corners=True)
+
+
+def sharply(images: Tensor, positions: Tensor) -> Tensor:
+    """As `warped`, the first three channels with the luminance of limited cubic convolution.
+
+    See `stillray.stages.sharpening`; its factor is that of OpenCV and of torch.
+    """
+    soft, light = warped(images, positions), _luminance(images)
+    around = F.pad(light, (0, 1, 0, 1), mode="replicate")
+    most, least = F.max_pool2d(around, 2, 1), -F.max_pool2d(-around, 2, 1)
+    # of one channel OpenCV's places are 1/32 pixel apart
+    cubic = warped(light, (32 * positions).round() / 32, "bicubic")
+    corner = positions.floor()
+    limits = (warped(limit, corner, "nearest") for limit in (least, most))
+    sharp = torch.clamp(cubic, *limits) / _luminance(soft).clamp(min=1e-30)
+    return torch.cat([soft[:, :3] * sharp, soft[:, 3:]], 1)
+
+
+def _luminance(images: Tensor) -> Tensor:
+    weights = torch.as_tensor(REC709[0]).to(images)[:, None, None]
+    return (images[:, :3] * weights).sum(1, keepdim=True)
 
 
 def look_blur(positions: Tensor) -> Tensor:
