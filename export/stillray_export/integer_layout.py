@@ -156,14 +156,17 @@ def _give_twice(network: _Network, convolution: onnx.NodeProto) -> None:
 
 def _may_be_paired(network: _Network) -> bool:
     """Whether all that has the frame's size is convolved, added and little."""
-    found = [_convolutions(network, step) for step in (1, 2)]
-    if not found[0]:
-        return False
+    if any(node.op_type == "Resize" for node in network.graph.node):
+        return False  # what it gives would stay pixels beside pairs
     of_size = _of_the_frame(network)
     kinds = {node.op_type for node in of_size}
     known = {"Conv", "Add", "QuantizeLinear", "DequantizeLinear", "Transpose"}
-    most = max(len(network.array(network.weights(node)[0].input[0])) for node in found[0])
-    return kinds <= known and most < ENOUGH_PLANES
+    counts = [
+        len(network.array(network.weights(node)[0].input[0]))
+        for node in of_size
+        if node.op_type == "Conv" and list(_attribute(node, "strides")) == [1, 1]
+    ]
+    return kinds <= known and 0 < max(counts, default=0) < ENOUGH_PLANES
 
 
 def _of_the_frame(network: _Network) -> list[onnx.NodeProto]:
@@ -198,15 +201,6 @@ def _reduction(network: _Network, name: str) -> int:
     if node.op_type == "Transpose" and tuple(_attribute(node, "perm")) == _ROWS_TO_PLANES:
         return _reduction(network, node.input[0]) // 2
     return _reduction(network, node.input[0])
-
-
-def _convolutions(network: _Network, step: int) -> list[onnx.NodeProto]:
-    """Convolutions of planes of the frame's size, of one stride."""
-    return [
-        node
-        for node in _of_the_frame(network)
-        if node.op_type == "Conv" and list(_attribute(node, "strides")) == [step, step]
-    ]
 
 
 def _pair_pixels(network: _Network) -> None:

@@ -20,8 +20,11 @@ from stillray_export.quantize import quantized
 PLANES = 6  # of the frame's size, fewer than are enough
 
 
-def network(rng, finest=PLANES, first=3):
-    """A U of three levels: two convolutions down, two doublings up, logits of each level."""
+def network(rng, finest=PLANES, first=3, rises=True):
+    """A U of three levels: two convolutions down, two doublings up, logits of each level.
+
+    Unless it ``rises``, the second doubling is of what logits are made of, too.
+    """
     tensors, nodes = {}, []
 
     def convolve(name, taken, outputs, inputs, size, step=1):
@@ -63,7 +66,7 @@ def network(rng, finest=PLANES, first=3):
     up = double(convolve("rise", low, 8, 12, 1))
     nodes.append(helper.make_node("Concat", [up, middle], ["both"], axis=1))
     middle = convolve("decode", "both", 10, 16, 3)
-    up = double(convolve("rise more", middle, finest, 10, 1))
+    up = double(convolve("rise more", middle, finest, 10, 1) if rises else middle)
     nodes.append(helper.make_node("Add", [up, top], ["sum"]))
     top = convolve("last", "sum", finest, finest, 3)
     outputs = []
@@ -117,6 +120,20 @@ def test_integers_are_the_same_bit_by_bit(integers, rng, size, first):
     shapes = {tensor.name: list(tensor.dims) for tensor in after.graph.initializer}
     assert shapes["enter.weight_quantized"][:2] == [2 * PLANES, 10]
     assert entry.op_type == "Conv"
+
+
+def test_a_doubling_of_what_others_take_stays_and_no_pixels_are_paired(integers, rng):
+    before = integers(finest=10, rises=False)
+    after = onnx.ModelProto()
+    after.CopyFrom(before)
+    arrange(after.graph, integers_out=False)
+    pixels = rng.integers(0, 256, (1, 8, 20, 5), np.uint8)
+    for old, new in zip(run(before, pixels), run(after, pixels), strict=True):
+        np.testing.assert_array_equal(new, old)
+    assert operators(before).count("Resize") == 2
+    assert operators(after).count("Resize") == 1
+    shapes = {tensor.name: list(tensor.dims) for tensor in after.graph.initializer}
+    assert shapes["enter.weight_quantized"][:2] == [10, 5]
 
 
 def test_many_planes_are_not_paired(integers, rng):
