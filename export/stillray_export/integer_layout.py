@@ -39,10 +39,17 @@ def arrange(graph: onnx.GraphProto, *, integers_out: bool) -> None:
         Whether what it gives stays integers.
     """
     network = _Network(graph)
-    for node in [node for node in graph.node if node.op_type == "Resize"]:
-        _double_by_copies(network, node)
-    if _may_be_paired(network):
-        _pair_pixels(network)
+    of_size = _of_the_frame(network)
+    pairs = _may_be_paired(network, of_size)
+    doublings = [
+        (node, pairs and _reduction(network, node.output[0]) == 1)
+        for node in graph.node
+        if node.op_type == "Resize"
+    ]
+    for node, of_pairs in doublings:
+        _double_by_copies(network, node, pairs=of_pairs)
+    if pairs:
+        _pair_pixels(network, of_size)
     if integers_out:
         _give_integers(network)
     network.finish()
@@ -119,18 +126,31 @@ class _Network:
         self.graph.initializer.extend(tensors)
 
 
-def _double_by_copies(network: _Network, resize: onnx.NodeProto) -> None:
-    """Put copies in the place of a doubling whose input a convolution gives."""
+def _doubled(network: _Network, resize: onnx.NodeProto) -> list[onnx.NodeProto] | None:
+    """What leads to a doubling, and what follows, where a convolution gives to it alone.
+
+    The convolution, what makes its integers, what makes numbers of these, and of the doubled
+    numbers integers again; None of something else, which ONNX Runtime doubles as before.
+    """
     numbers = network.maker(resize.input[0])
     made = None if numbers is None else network.maker(numbers.input[0])
     convolution = None if made is None else network.maker(made.input[0])
     (again,) = network.takers(resize.output[0])
-    if convolution is None or convolution.op_type != "Conv" or again.op_type != "QuantizeLinear":
-        return  # of something else, which ONNX Runtime doubles as before
-    assert made is not None
-    assert numbers is not None
+    if numbers is None or made is None or convolution is None:
+        return None
+    if convolution.op_type != "Conv" or again.op_type != "QuantizeLinear":
+        return None
     if len(network.takers(made.output[0])) > 1 or len(network.takers(numbers.output[0])) > 1:
+        return None
+    return [convolution, made, numbers, again]
+
+
+def _double_by_copies(network: _Network, resize: onnx.NodeProto, *, pairs: bool) -> None:
+    """Put copies in the place of a doubling; doubled pixels stay pairs, or are taken apart."""
+    found = _doubled(network, resize)
+    if found is None:
         return
+    convolution, made, numbers, again = found
     weights, _ = network.weights(convolution)
     planes = len(network.array(weights.input[0]))
     _give_twice(network, convolution)
@@ -138,8 +158,12 @@ def _double_by_copies(network: _Network, resize: onnx.NodeProto) -> None:
     for node in (resize, numbers, again):
         network.graph.node.remove(node)
     pixels = network.add("Transpose", [made.output[0]], f"{name} pixels", perm=_PIXELS)
-    beside = network.add("Reshape", [pixels, network.shape(0, 0, -1, planes)], f"{name} beside")
-    rows = network.add("Reshape", [beside, network.shape(-1, 1, 0, planes)], f"{name} rows")
+    if pairs:
+        planes *= 2
+    else:
+        beside = network.shape(0, 0, -1, planes)
+        pixels = network.add("Reshape", [pixels, beside], f"{name} beside")
+    rows = network.add("Reshape", [pixels, network.shape(-1, 1, 0, planes)], f"{name} rows")
     twice = network.add("Concat", [rows, rows], f"{name} twice", axis=1)
     below = network.add("Reshape", [twice, network.shape(-1, 1, 0, planes)], f"{name} below")
     network.add("Transpose", [below], doubled, perm=_ROWS_TO_PLANES)
@@ -154,11 +178,11 @@ def _give_twice(network: _Network, convolution: onnx.NodeProto) -> None:
             network.put(name, np.concatenate([array, array]))
 
 
-def _may_be_paired(network: _Network) -> bool:
+def _may_be_paired(network: _Network, of_size: Sequence[onnx.NodeProto]) -> bool:
     """Whether all that has the frame's size is convolved, added and little."""
-    if any(node.op_type == "Resize" for node in network.graph.node):
+    doublings = [node for node in network.graph.node if node.op_type == "Resize"]
+    if any(_doubled(network, node) is None for node in doublings):
         return False  # what it gives would stay pixels beside pairs
-    of_size = _of_the_frame(network)
     kinds = {node.op_type for node in of_size}
     known = {"Conv", "Add", "QuantizeLinear", "DequantizeLinear", "Transpose"}
     counts = [
@@ -170,9 +194,10 @@ def _may_be_paired(network: _Network) -> bool:
 
 
 def _of_the_frame(network: _Network) -> list[onnx.NodeProto]:
-    """Nodes that take planes of the frame's size, whose doublings are copies by now."""
+    """Nodes that take planes of the frame's size."""
     found: list[onnx.NodeProto] = []
-    names = {node.output[0] for node in network.graph.node if _doubles_to(network, node) == 1}
+    doublings = [node for node in network.graph.node if node.op_type == "Resize"]
+    names = {node.output[0] for node in doublings if _reduction(network, node.output[0]) == 1}
     names.add("features")
     for node in network.in_order():
         if names.isdisjoint(node.input):
@@ -184,28 +209,20 @@ def _of_the_frame(network: _Network) -> list[onnx.NodeProto]:
     return found
 
 
-def _doubles_to(network: _Network, node: onnx.NodeProto) -> int | None:
-    """By how much what a doubling gives is smaller than the frame; None of other nodes."""
-    if node.op_type != "Transpose" or tuple(_attribute(node, "perm")) != _ROWS_TO_PLANES:
-        return None
-    return _reduction(network, node.output[0])
-
-
 def _reduction(network: _Network, name: str) -> int:
-    """By how much a tensor is smaller than the frame."""
+    """By how much a tensor is smaller than the frame, before anything is doubled by copies."""
     node = network.maker(name)
     if node is None:
         return 1
     if node.op_type == "Conv":
         return _reduction(network, node.input[0]) * int(_attribute(node, "strides")[0])
-    if node.op_type == "Transpose" and tuple(_attribute(node, "perm")) == _ROWS_TO_PLANES:
+    if node.op_type == "Resize":
         return _reduction(network, node.input[0]) // 2
     return _reduction(network, node.input[0])
 
 
-def _pair_pixels(network: _Network) -> None:
+def _pair_pixels(network: _Network, of_size: Sequence[onnx.NodeProto]) -> None:
     """Take pixels side by side for one, wherever planes have the frame's size."""
-    of_size = _of_the_frame(network)
     for node in of_size:
         if node.op_type == "Conv":
             _convolve_pairs(network, node)
@@ -215,29 +232,10 @@ def _pair_pixels(network: _Network) -> None:
     turned.input[0] = network.add(
         "Reshape", ["features", network.shape(0, 0, -1, 2 * planes)], "pairs of pixels"
     )
-    for node in [node for node in network.graph.node if _doubles_to(network, node) == 1]:
-        _leave_paired(network, node)
     ends = {output.name for output in network.graph.output}
     for node in of_size:
         if ends & set(node.output):
             _take_apart(network, node)
-
-
-def _leave_paired(network: _Network, last: onnx.NodeProto) -> None:
-    """Let doubled pixels stay pairs: their row is copied as it is."""
-    below = network.maker(last.input[0])
-    assert below is not None
-    twice = network.maker(below.input[0])
-    assert twice is not None
-    rows = network.maker(twice.input[0])
-    assert rows is not None
-    beside = network.maker(rows.input[0])
-    assert beside is not None
-    planes = int(network.array(beside.input[1])[-1])
-    rows.input[0] = beside.input[0]
-    network.graph.node.remove(beside)
-    for node in (rows, below):
-        node.input[1] = network.shape(-1, 1, 0, 2 * planes)
 
 
 def _take_apart(network: _Network, numbers: onnx.NodeProto) -> None:

@@ -95,6 +95,21 @@ def integers(rng, tmp_path):
     return made
 
 
+def arranged(before, *, integers_out=False):
+    """A rearranged copy, and the shapes of its tensors."""
+    after = onnx.ModelProto()
+    after.CopyFrom(before)
+    arrange(after.graph, integers_out=integers_out)
+    return after, {tensor.name: list(tensor.dims) for tensor in after.graph.initializer}
+
+
+def require_same(before, after, pixels):
+    """Both give the same numbers bit by bit, and not the same everywhere."""
+    for old, new in zip(run(before, pixels), run(after, pixels), strict=True):
+        np.testing.assert_array_equal(new, old)
+        assert np.ptp(old) > 0
+
+
 def run(model, pixels):
     return InferenceSession(model.SerializeToString()).run(None, {"features": pixels})
 
@@ -107,52 +122,37 @@ def operators(model):
 @pytest.mark.parametrize("size", [(4, 4), (8, 20), (36, 28)])
 def test_integers_are_the_same_bit_by_bit(integers, rng, size, first):
     before = integers(first=first)
-    after = onnx.ModelProto()
-    after.CopyFrom(before)
-    arrange(after.graph, integers_out=False)
+    after, shapes = arranged(before)
     pixels = rng.integers(0, 256, (1, *size, 5), np.uint8)
-    for old, new in zip(run(before, pixels), run(after, pixels), strict=True):
-        np.testing.assert_array_equal(new, old)
-        assert np.ptp(old) > 0
+    require_same(before, after, pixels)
     assert "Resize" in operators(before)
     assert "Resize" not in operators(after)
     (entry,) = [node for node in after.graph.node if node.name == "enter"]
-    shapes = {tensor.name: list(tensor.dims) for tensor in after.graph.initializer}
     assert shapes["enter.weight_quantized"][:2] == [2 * PLANES, 10]
     assert entry.op_type == "Conv"
 
 
 def test_a_doubling_of_what_others_take_stays_and_no_pixels_are_paired(integers, rng):
     before = integers(finest=10, rises=False)
-    after = onnx.ModelProto()
-    after.CopyFrom(before)
-    arrange(after.graph, integers_out=False)
+    after, shapes = arranged(before)
     pixels = rng.integers(0, 256, (1, 8, 20, 5), np.uint8)
-    for old, new in zip(run(before, pixels), run(after, pixels), strict=True):
-        np.testing.assert_array_equal(new, old)
+    require_same(before, after, pixels)
     assert operators(before).count("Resize") == 2
     assert operators(after).count("Resize") == 1
-    shapes = {tensor.name: list(tensor.dims) for tensor in after.graph.initializer}
     assert shapes["enter.weight_quantized"][:2] == [10, 5]
 
 
 def test_many_planes_are_not_paired(integers, rng):
     before = integers(finest=32)
-    after = onnx.ModelProto()
-    after.CopyFrom(before)
-    arrange(after.graph, integers_out=False)
+    after, shapes = arranged(before)
     pixels = rng.integers(0, 256, (1, 12, 16, 5), np.uint8)
-    for old, new in zip(run(before, pixels), run(after, pixels), strict=True):
-        np.testing.assert_array_equal(new, old)
-    shapes = {tensor.name: list(tensor.dims) for tensor in after.graph.initializer}
+    require_same(before, after, pixels)
     assert shapes["enter.weight_quantized"][:2] == [32, 5]
 
 
 def test_outputs_stay_integers_whose_steps_the_file_tells(integers, rng):
     before = integers()
-    after = onnx.ModelProto()
-    after.CopyFrom(before)
-    arrange(after.graph, integers_out=True)
+    after, _ = arranged(before, integers_out=True)
     pixels = rng.integers(0, 256, (1, 8, 12, 5), np.uint8)
     found = interface_of(parse_onnx(after.SerializeToString()).graph)
     assert [(planes.count, planes.reduction) for planes in found.outputs] == [

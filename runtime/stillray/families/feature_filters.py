@@ -395,8 +395,9 @@ def _old(grid: Grid, context: Context) -> Remembered | None:
     """What was remembered before the last frame, of this grid: its memory may be written over."""
     state = context.back_buffer
     found = state.temporal if isinstance(state, State) else None
-    fits = isinstance(found, Remembered) and found.output.shape[:2] == grid.shape
-    return found if fits and isinstance(found, Remembered) else None
+    if isinstance(found, Remembered) and found.output.shape[:2] == grid.shape:
+        return found
+    return None
 
 
 def _room(grid: Grid, context: Context) -> Accumulated:

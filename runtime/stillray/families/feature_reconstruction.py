@@ -33,9 +33,9 @@ from stillray.arrays.resample import halve
 from stillray.arrays.strips import STRIP_PIXELS, Strips, interleave, planes_of, with_halo
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
 from stillray.families.gaussian import Weights, framed, gaussian, measured
-from stillray.families.logit_maps import LogitMaps
+from stillray.families.logit_maps import LogitMaps, holds_nan, without_nan
 from stillray.model_spec.loader import Demodulate, FeatureFilters
-from stillray.models.steps import InSteps, Output
+from stillray.models.steps import Output
 from stillray.stages.demodulate import demodulation_planes
 
 _PLANES = 9  # light over diffuse albedo, over specular albedo, and as it is
@@ -152,12 +152,8 @@ def reconstruct(
         For the next frame.
     """
     image, accumulated = _Reconstruction(frame, past, outputs, rules, strips, room).run()
-    floats = [planes for planes in outputs if not isinstance(planes, InSteps)]
-    if np.isnan(image.max()) and any(np.isnan(planes.max()) for planes in floats):
-        outputs = [
-            planes if isinstance(planes, InSteps) else np.nan_to_num(planes, nan=0.0)
-            for planes in outputs
-        ]
+    if np.isnan(image.max()) and holds_nan(outputs):
+        outputs = without_nan(outputs)
         image, accumulated = _Reconstruction(frame, past, outputs, rules, strips, room).run()
     return image, accumulated
 

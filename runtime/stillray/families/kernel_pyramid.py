@@ -25,12 +25,11 @@ from stillray.arrays.workspace import Workspace
 from stillray.families.box_filter import box_means
 from stillray.families.cost import kernel_pyramid_cost
 from stillray.families.finest_filters import filter_finest
-from stillray.families.logit_maps import LogitMaps
+from stillray.families.logit_maps import LogitMaps, holds_nan, without_nan
 from stillray.families.pyramid_logits import (
     NEIGHBOURS,
     LevelLayout,
     level_layout,
-    numbers,
     seen_from,
 )
 from stillray.families.pyramid_upsample import Doubled
@@ -137,7 +136,7 @@ class KernelPyramidModel(TemporalKernels):
         """
         if not _tone(light, self._options):
             return outputs
-        outputs = _numbers(outputs)
+        outputs = without_nan(outputs)
         height, width = light.mean.shape[:2]
         toned = np.empty((height + 2, width + 2), np.float32)
         finest = _finest(light, outputs, self._options, strips)
@@ -190,15 +189,9 @@ def filter_pyramid(
     image = _filtered(light, logits, options, strips, toned)
     # A logit that is not a number says nothing: 0. It shows in the image, which is a fifth of the
     # logits to look through.
-    floats = [level for level in logits if not isinstance(level, InSteps)]
-    if np.isnan(image.max()) and any(np.isnan(level.max()) for level in floats):
-        image = _filtered(light, _numbers(logits), options, strips, toned)
+    if np.isnan(image.max()) and holds_nan(logits):
+        image = _filtered(light, without_nan(logits), options, strips, toned)
     return image
-
-
-def _numbers(logits: Sequence[Output]) -> list[Output]:
-    """Logits that are numbers; integers always are some."""
-    return [given if isinstance(given, InSteps) else numbers([given])[0] for given in logits]
 
 
 def _filtered(

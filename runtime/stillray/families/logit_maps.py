@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 
 import cv2
@@ -10,7 +11,8 @@ import numpy as np
 from stillray.arrays.strips import Strips
 from stillray.families.box_filter import bounded_exp
 from stillray.families.depth_to_space import DepthToSpace
-from stillray.models.steps import InSteps, Steps, numbers_of
+from stillray.families.pyramid_logits import numbers
+from stillray.models.steps import InSteps, Output, Steps, numbers_of
 
 
 class LogitMaps:
@@ -81,6 +83,16 @@ class LogitMaps:
     def _look_up(self, places: slice, rows: slice, table: np.ndarray, out: np.ndarray) -> None:
         for place, target in zip(range(places.start, places.stop), out, strict=True):
             cv2.LUT(self._maps[place, rows][:, : out.shape[2]], table, dst=target)
+
+
+def holds_nan(outputs: Sequence[Output]) -> bool:
+    """Whether a network gave what is no number; integers always are some."""
+    return any(bool(np.isnan(each.max())) for each in outputs if not isinstance(each, InSteps))
+
+
+def without_nan(outputs: Sequence[Output]) -> list[Output]:
+    """Logits with 0 where they are not numbers, which say nothing."""
+    return [each if isinstance(each, InSteps) else numbers([each])[0] for each in outputs]
 
 
 @cache

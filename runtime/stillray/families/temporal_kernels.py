@@ -341,7 +341,6 @@ class TemporalKernels(ABC):
             found.fill(rows, width, partial(fill, rows))
 
         with timed(context.timings, "encode"):
-            # many planes: half of a strip, so that a frame that is cancelled ends soon
             context.strips.run(pack, height, width)
             found.mirror(height, width)
         return found.array

@@ -181,7 +181,6 @@ class _Pixels:
         # names that the input has, and the planes of the input that each plane is of
         self._given: dict[str, tuple[int, ...]] = {"features": tuple(self._whole)}
         self._parts: dict[str, tuple[int, ...]] = {}
-        self._paired: set[str] = set()
         self._steps: dict[int, Steps] = {}
 
     def take(self, node: Node, tensors: Mapping[str, np.ndarray]) -> Planes | None:
@@ -203,11 +202,10 @@ class _Pixels:
             _only(node, 1, {"perm": _TO_PLANES})
             _require(node, "perm" in node.attributes, f"must have perm {_TO_PLANES}")
             self._parts[made] = self._given[name]
-            if name != "features":
-                self._paired.add(made)
             return None
         _require(node, name in self._parts, "must not take the input's integers")
-        part, across = self._parts[name], 2 if name in self._paired else None
+        part = self._parts[name]
+        across = 2 if len(part) > len(self._whole) else None  # of pairs of pixels each plane twice
         inputs = _Inputs(node, {name: Planes(len(part), 1, across)}, tensors)
         if node.operator == "Slice" and across is None:
             count = _part(node, inputs)[0].count
