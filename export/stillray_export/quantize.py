@@ -6,15 +6,18 @@ between them is a quarter of the bytes. What the network gives are logits of wei
 stays a mean however they are rounded.
 
 Scales are those of the frames in DATA: sequences that a model was trained on, never what it is
-measured on. Made by ONNX Runtime's own quantisation: a scale for each output of a convolution, one
-for each image, the least to the greatest value that was met. Then `stillray_export.integer_layout`
-arranges its planes as processors take them faster.
+measured on. Without, planes keep the scales of the file that is there, and the weights alone are
+made anew. Made by ONNX Runtime's own quantisation: a scale for each output of a convolution, one
+for each image, the least to the greatest value that was met. Then `stillray_export.small_sums` sees
+to it that no processor's sums overflow, and `stillray_export.integer_layout` arranges planes as
+processors take them faster.
 """
 
 from __future__ import annotations
 
+import json
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -40,19 +43,29 @@ from stillray.io.exr.read_write import atomic_path
 from stillray.models.precision import floats_of, int8_path
 from stillray.models.registry import ModelInfo, find_model, require_fit
 from stillray.models.session import checked
+from stillray.models.steps import PLACES_KEY
 from stillray.pipeline.denoiser import Denoiser
 from stillray.pipeline.opening import engine_of_model, family_of_model
 from stillray_export.integer_layout import arrange
+from stillray_export.plane_order import order_features
+from stillray_export.small_sums import bound_sums
 from stillray_training.blocks import frames_of, mean_frame, read_blocks
 from stillray_training.run import sequences_in
 from stillray_training.targets import read_filter
 
+#: What ONNX Runtime takes for a plane's scale and the integer that stands for 0.
+Scales = Mapping[str, Sequence[Mapping[str, np.ndarray]]]
+
 #: Operators that take and give integers; what else there is stays float32.
 OPERATORS = ("Add", "Clip", "Concat", "Conv", "MaxPool", "Mul", "Relu", "Resize", "Slice")
 
+_SOME_SIZE = 64, 64  # of a frame that ONNX Runtime wants to see, where scales are known
 
-def quantized(model: Path, features: Sequence[np.ndarray]) -> onnx.ModelProto:
-    """A network in integers.
+
+def quantized(
+    model: Path, features: Sequence[np.ndarray], scales: Scales | None = None
+) -> onnx.ModelProto:
+    """A network in integers, whose sums of products no processor overflows.
 
     Parameters
     ----------
@@ -61,14 +74,20 @@ def quantized(model: Path, features: Sequence[np.ndarray]) -> onnx.ModelProto:
     features : (1, features, h, w) float32 each
         What it is to be given: scales fit to what it makes of these, of their upper left in the
         size of the smallest.
+    scales
+        Of planes that have one already, whatever is made of the features.
     """
     # ONNX Runtime's calibration stacks what a layer gives
     height, width = np.min([planes.shape[2:] for planes in features], axis=0)
-    features = [np.ascontiguousarray(planes[..., :height, :width]) for planes in features]
+    floats = onnx.load(model)
+    places = order_features(floats.graph)
+    order = np.argsort(places)
+    features = [np.ascontiguousarray(planes[:, order, :height, :width]) for planes in features]
     with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / "int8.onnx"
+        given, made = Path(folder) / "floats.onnx", Path(folder) / "int8.onnx"
+        onnx.save(floats, given)
         quantize_static(
-            model,
+            given,
             made,
             _Features(features),
             quant_format=QuantFormat.QDQ,
@@ -77,16 +96,18 @@ def quantized(model: Path, features: Sequence[np.ndarray]) -> onnx.ModelProto:
             per_channel=True,
             op_types_to_quantize=list(OPERATORS),
             calibrate_method=CalibrationMethod.Percentile,
-            extra_options={"CalibPercentile": 99.999},
+            extra_options={"CalibPercentile": 99.999, "TensorQuantOverrides": dict(scales or {})},
         )
         found = onnx.load(made)
     for tensor in found.graph.initializer:
         # one way to hold numbers, which the runtime reads
         tensor.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(tensor), tensor.name))
     del found.graph.value_info[:]
+    bound_sums(found.graph, floats.graph)
     take_pixels(found.graph)
-    told = {entry.key: entry.value for entry in onnx.load(model).metadata_props}
+    told = {entry.key: entry.value for entry in floats.metadata_props}
     del found.metadata_props[:]
+    told[PLACES_KEY] = json.dumps(places)
     helper.set_model_props(found, {**told, **floats_of(model)})
     return found
 
@@ -128,6 +149,25 @@ def take_pixels(graph: onnx.GraphProto) -> None:
     features.CopyFrom(
         helper.make_tensor_value_info("features", TensorProto.UINT8, [1, *size, planes])
     )
+
+
+def scales_of(integers: Path) -> Scales:
+    """The scales of planes in a file that `main` wrote.
+
+    Parameters
+    ----------
+    integers
+        ``NAME.int8.onnx``.
+    """
+    network = onnx.load(integers)
+    tensors = {each.name: numpy_helper.to_array(each) for each in network.graph.initializer}
+    found = {}
+    for name, scale in tensors.items():
+        plane = name.removesuffix("_scale")
+        zero = tensors.get(f"{plane}_zero_point")
+        if plane != name and zero is not None and zero.dtype == np.uint8:
+            found[plane] = [{"scale": scale, "zero_point": zero}]
+    return found
 
 
 class _Features(CalibrationDataReader):  # type: ignore[misc]
@@ -191,24 +231,35 @@ def _still(sequence: Path, last: Frame) -> list[Frame]:
 
 def main(
     model: Annotated[str, typer.Argument(help="The model, or the path of its .onnx file.")],
-    data: Annotated[list[Path], typer.Option(help="Folder of sequences; repeatable.")],
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(help="Folder of sequences; repeatable. Without, scales stay as they are."),
+    ] = None,
     most: Annotated[int, typer.Option(min=1, help="Sequences of each folder at most.")] = 24,
 ) -> None:
     """Write the network of a model in integers of 8 bits beside it."""
     info = find_model(model)
     features: list[np.ndarray] = []
-    for folder in data:
+    for folder in data or []:
         sequences = sequences_in([folder])
         for sequence in sequences[:: -(-len(sequences) // most)]:
             features += features_of(info, sequence)
-    network = quantized(info.path, features)
+    network = quantized(info.path, features) if data else _with_scales_as_before(info)
     arrange(network.graph, integers_out=family_of_model(info).traits.integers)
     made, path = network.SerializeToString(), int8_path(info.path)
     # what the runtime would refuse is found here, not by who runs the model
     require_fit(checked(made, path)[1], info.spec, path)
     with atomic_path(path) as temporary:
         temporary.write_bytes(made)
-    print(f"{path}: of {len(features)} frames")
+    print(f"{path}: of {len(features)} frames" if data else f"{path}: scales as before")
+
+
+def _with_scales_as_before(model: ModelInfo) -> onnx.ModelProto:
+    path = int8_path(model.path)
+    if not path.is_file():
+        raise InputError(f"data must be given for {model.name}, which has no {path.name}")
+    nothing = np.zeros((1, model.interface.features, *_SOME_SIZE), np.float32)
+    return quantized(model.path, [nothing], scales_of(path))
 
 
 if __name__ == "__main__":

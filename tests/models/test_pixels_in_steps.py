@@ -13,7 +13,7 @@ from stillray.models.onnx_file import parse_onnx
 from stillray.models.precision import int8_path
 from stillray.models.protobuf import WireError
 from stillray.models.registry import find_model
-from stillray.models.steps import Steps, in_steps
+from stillray.models.steps import Steps, columns_of, in_steps
 from stillray.pipeline.opening import engine_of_model
 
 onnx = pytest.importorskip("onnx")
@@ -105,11 +105,21 @@ def test_other_inputs_are_refused(changes, message):
         interface(kind=onnx.TensorProto.INT8)
 
 
+@pytest.mark.parametrize("told", ["[0, 1, 1]", "[0, 1]", "[0, 1, 3]", "3", "[0, 1, 2.0]", "{"])
+def test_places_that_cannot_be_are_refused(told):
+    with pytest.raises(ValueError, match=r"must hold each of 3 places once|Expecting"):
+        columns_of((FIRST, FIRST, SECOND), told)
+
+
+#: Of five planes, the first of which is the last integer of a pixel.
+COLUMNS = columns_of((FIRST, SECOND, FIRST, SECOND, FIRST), "[4, 2, 1, 0, 3]")
+
+
 class Takes:
     """An engine of a network that takes this input."""
 
-    def __init__(self, steps):
-        self.feature_steps = steps
+    def __init__(self, columns):
+        self.feature_columns = columns
 
 
 @pytest.mark.parametrize("width", [40, 48])
@@ -117,8 +127,8 @@ def test_pixels_are_made_strip_by_strip_as_planes_are(rng, width):
     planes = (20 * rng.normal(size=(5, 35, width))).astype(np.float32)
     planes[:, 3, :4] = 1e6, -1e6, 1e-38, 0  # beyond the first and last step
     strips, found = Strips(2, pixels=4 * 48), []
-    for steps in (None, (FIRST, FIRST, SECOND, FIRST, SECOND)):
-        made = NetworkInput(Takes(steps), 5, (48, 48), Workspace(), strips)
+    for columns in (None, COLUMNS):
+        made = NetworkInput(Takes(columns), 5, (48, 48), Workspace(), strips)
 
         def pack(rows, made=made):
             made.fill(rows, width, lambda out: np.copyto(out, planes[:, rows]))
@@ -131,19 +141,20 @@ def test_pixels_are_made_strip_by_strip_as_planes_are(rng, width):
     assert (integers.shape, integers.dtype) == ((1, 48, 48, 5), np.uint8)
     np.testing.assert_array_equal(numbers[0, :, :35, :width], planes)
     np.testing.assert_array_equal(numbers[0, :, 35:], numbers[0, :, 34:21:-1])
-    for plane, values, step in zip(np.moveaxis(integers[0], -1, 0), numbers[0], steps, strict=True):
+    for values, column in zip(numbers[0], COLUMNS, strict=True):
+        plane, step = integers[0, ..., column.place], column.steps
         exact = np.clip(values.astype(np.float64) / step.scale + step.zero, 0, 255)
         assert np.abs(plane - exact).max() <= 0.5 + 1e-4
 
 
-@pytest.mark.parametrize("steps", [None, (FIRST, FIRST, SECOND, FIRST, SECOND)])
-def test_planes_that_lie_apart_are_put_as_those_that_are_written(rng, steps):
+@pytest.mark.parametrize("columns", [None, COLUMNS])
+def test_planes_that_lie_apart_are_put_as_those_that_are_written(rng, columns):
     planes = (20 * rng.normal(size=(5, 16, 24))).astype(np.float32)
     given = [*planes[:4], np.broadcast_to(planes[4, :, :1], (16, 24))]
     planes[4] = given[4]
     strips, arrays = Strips(1, pixels=3 * 24), []
     for kind in ("put", "fill"):
-        made = NetworkInput(Takes(steps), 5, (16, 24), Workspace(), strips)
+        made = NetworkInput(Takes(columns), 5, (16, 24), Workspace(), strips)
 
         def work(rows, made=made, kind=kind):
             if kind == "put":
@@ -159,14 +170,18 @@ def test_planes_that_lie_apart_are_put_as_those_that_are_written(rng, steps):
 
 def test_halves_are_rounded_to_even():
     values = np.array([[[0.25, 0.75, 1.25]]], np.float32)
-    out = in_steps(values, (Steps(0.5, 100),), np.empty((1, 3, 1), np.uint8), Workspace())
+    out = in_steps(
+        values, columns_of((Steps(0.5, 100),), None), np.empty((1, 3, 1), np.uint8), Workspace()
+    )
     assert out.ravel().tolist() == [100, 102, 102]
 
 
 def test_a_number_a_little_below_a_half_is_rounded_down():
     """Half a step less a millionth: beside a zero of 139 float32 does not tell it from a half."""
     values = np.array([[[0.5 - 1e-6, 0.5 + 1e-6]]], np.float32)
-    out = in_steps(values, (Steps(1.0, 139),), np.empty((1, 2, 1), np.uint8), Workspace())
+    out = in_steps(
+        values, columns_of((Steps(1.0, 139),), None), np.empty((1, 2, 1), np.uint8), Workspace()
+    )
     assert out.ravel().tolist() == [139, 140]
 
 
@@ -177,7 +192,7 @@ def test_planes_of_floats_are_taken_too():
     try:
         planes = np.random.default_rng(0).normal(size=(1, 16, 32, 48)).astype(np.float32)
         pixels = np.empty((32, 48, 16), np.uint8)
-        in_steps(planes[0], engine.feature_steps, pixels, Workspace())
+        in_steps(planes[0], engine.feature_columns, pixels, Workspace())
         of_planes = engine.run("network", {"features": planes})
         of_pixels = engine.run("network", {"features": pixels[None]})
         for name, found in of_planes.items():

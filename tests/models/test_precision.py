@@ -36,9 +36,6 @@ def test_a_network_of_integers_takes_and_gives_what_that_of_floats_does(model):
     assert precision.int8_path(path).stat().st_size < 0.4 * path.stat().st_size
 
 
-@pytest.mark.skipif(
-    not precision.multiplies_int8(), reason="sums of 8-bit products may overflow without VNNI"
-)
 @pytest.mark.parametrize("model", WITH_INTEGERS)
 def test_the_picture_is_the_same_to_the_eye(model):
     frames = [read_exr(path) for path in sorted(ROOM.glob("frame_*.exr"))[:4]]

@@ -10,7 +10,7 @@ from stillray.arrays.extend import mirrored
 from stillray.arrays.strips import Strips
 from stillray.arrays.workspace import Workspace
 from stillray.families.contract import Engine
-from stillray.models.steps import Steps, in_steps
+from stillray.models.steps import Column, in_steps
 
 
 class NetworkInput:
@@ -19,7 +19,7 @@ class NetworkInput:
     Parameters
     ----------
     engine
-        What will run the network: its ``feature_steps``, if it has any, say what that takes.
+        What will run the network: its ``feature_columns``, if it has any, say what that takes.
     count
         Planes.
     full
@@ -43,9 +43,9 @@ class NetworkInput:
         workspace: Workspace,
         strips: Strips,
     ) -> None:
-        self._steps: tuple[Steps, ...] | None = getattr(engine, "feature_steps", None)
+        self._columns: tuple[Column, ...] | None = getattr(engine, "feature_columns", None)
         self._count, self._strips = count, strips
-        if self._steps is None:
+        if self._columns is None:
             self.array = workspace.array("features", (1, count, *full))
         else:
             self.array = workspace.array("features in steps", (1, *full, count), np.uint8)
@@ -60,7 +60,7 @@ class NetworkInput:
         write
             Writes the planes, ``(planes, rows, width)`` float32, where it is told.
         """
-        if self._steps is None:
+        if self._columns is None:
             write(self.array[0, :, rows, :width])
             return
         workspace, shape = self._strips.workspace, (rows.stop - rows.start, width)
@@ -68,22 +68,22 @@ class NetworkInput:
         write(planes)
         target = self.array[0, rows, :width]
         if target.flags.c_contiguous:
-            in_steps(planes, self._steps, target, workspace)
+            in_steps(planes, self._columns, target, workspace)
         else:
             pixels = workspace.array("pixels of a strip", (*shape, self._count), np.uint8)
-            target[...] = in_steps(planes, self._steps, pixels, workspace)
+            target[...] = in_steps(planes, self._columns, pixels, workspace)
 
     def put(self, rows: slice, planes: Sequence[np.ndarray]) -> None:
         """Fill some rows, of the whole width, with planes ``(rows, W)`` float32 that lie apart."""
-        if self._steps is None:
+        if self._columns is None:
             for plane, target in zip(planes, self.array[0], strict=True):
                 target[rows] = plane
             return
-        in_steps(planes, self._steps, self.array[0, rows], self._strips.workspace)
+        in_steps(planes, self._columns, self.array[0, rows], self._strips.workspace)
 
     def mirror(self, height: int, width: int) -> None:
         """Carry on what was filled by its mirror image: the outputs are for light that is."""
-        rows, columns = (1, 2) if self._steps is not None else (2, 3)
+        rows, columns = (1, 2) if self._columns is not None else (2, 3)
         found = np.moveaxis(self.array, (rows, columns), (0, 1))
         for at, place in enumerate(mirrored(width, found.shape[1])[width:], start=width):
             found[:height, at] = found[:height, place]

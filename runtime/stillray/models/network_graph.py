@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from stillray.models.onnx_file import Graph, Node
+from stillray.models.small_sums import MOST, neighbours_sum
 from stillray.models.steps import Steps
 
 #: Of one tensor.
@@ -472,6 +473,11 @@ def _dequantized(node: Node, inputs: _Inputs) -> np.ndarray:
         node, fits and zero.dtype == given.dtype, "must have a scale and a zero for each output"
     )
     _require(node, node.attributes.get("axis", 0) == 0, "must have axis 0")
+    if given.dtype == np.int8 and given.ndim == _RANK:
+        fits = bool((neighbours_sum(given) <= MOST).all())
+        # what a file made before lacks
+        how = "make the file anew with stillray_export.quantize"
+        _require(node, fits, f"must have weights no two of which add up to more than {MOST}: {how}")
     along = (-1, *[1] * (given.ndim - 1)) if scale.shape else ()
     with np.errstate(over="ignore", invalid="ignore"):
         steps = given.astype(np.float32) - zero.astype(np.float32).reshape(along)

@@ -15,7 +15,7 @@ from stillray.errors import InputError
 from stillray.models.network_graph import GraphError, Interface, interface_of
 from stillray.models.onnx_file import OnnxFile, parse_onnx, read_bytes
 from stillray.models.protobuf import WireError
-from stillray.models.steps import InSteps, Steps, in_steps
+from stillray.models.steps import PLACES_KEY, Column, InSteps, columns_of, in_steps
 
 
 def read_checked(path: Path) -> tuple[OnnxFile, Interface]:
@@ -35,6 +35,24 @@ def checked(data: bytes, origin: Path | str) -> tuple[OnnxFile, Interface]:
         file = parse_onnx(data)
         return file, interface_of(file.graph)
     except (WireError, GraphError) as error:
+        raise InputError(f"{origin}: not a usable ONNX model: {error}") from None
+
+
+def feature_columns(
+    file: OnnxFile, interface: Interface, origin: Path | str
+) -> tuple[Column, ...] | None:
+    """How features are part of the pixels that a network takes; None where it takes planes.
+
+    Raises
+    ------
+    InputError
+        The file tells places that cannot be.
+    """
+    if interface.steps is None:
+        return None
+    try:
+        return columns_of(interface.steps, file.metadata.get(PLACES_KEY))
+    except ValueError as error:
         raise InputError(f"{origin}: not a usable ONNX model: {error}") from None
 
 
@@ -62,11 +80,11 @@ class Network:
 
     Attributes
     ----------
-    feature_steps
-        See `Interface`.
+    feature_columns
+        Of a network that takes pixels of integers, how each feature is part of one; else None.
     """
 
-    feature_steps: tuple[Steps, ...] | None
+    feature_columns: tuple[Column, ...] | None
 
     def __init__(
         self,
@@ -82,7 +100,7 @@ class Network:
         self._thread = ThreadPoolExecutor(1, "stillray-network")
         try:
             file, interface = read_checked(path)
-            self.feature_steps = interface.steps
+            self.feature_columns = feature_columns(file, interface, path)
             self._output_steps = [planes.steps for planes in interface.outputs]
             options = session_options(threads, flush_denormals=True)
             self._session = self._thread.submit(
@@ -141,11 +159,11 @@ class Network:
 
     def _taken(self, features: np.ndarray) -> np.ndarray:
         """Features as the network takes them: whoever wraps an engine may know planes alone."""
-        if self.feature_steps is None or features.dtype == np.uint8:
+        if self.feature_columns is None or features.dtype == np.uint8:
             return features
         planes = features[0]
         out = np.empty((*planes.shape[1:], len(planes)), np.uint8)
-        return in_steps(planes, self.feature_steps, out, Workspace())[None]
+        return in_steps(planes, self.feature_columns, out, Workspace())[None]
 
     def _step(self, graph: str) -> Future[Any]:
         """The session of a step, which is being opened or was."""
@@ -210,10 +228,10 @@ class WatchedEngine:
         self._engine, self._watch = engine, watch
 
     @property
-    def feature_steps(self) -> tuple[Steps, ...] | None:
+    def feature_columns(self) -> tuple[Column, ...] | None:
         """Of the engine, if it has any."""
-        steps: tuple[Steps, ...] | None = getattr(self._engine, "feature_steps", None)
-        return steps
+        found: tuple[Column, ...] | None = getattr(self._engine, "feature_columns", None)
+        return found
 
     def run(self, graph: str, inputs: Mapping[str, np.ndarray]) -> dict[str, Any]:
         """As the engine's own."""

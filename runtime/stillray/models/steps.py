@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,9 @@ import cv2
 import numpy as np
 
 from stillray.arrays.workspace import Workspace
+
+#: Metadata of a file whose features lie in another order than their specification's: `columns_of`.
+PLACES_KEY = "stillray.places"
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,45 @@ class Steps:
 
     scale: float
     zero: int
+
+
+@dataclass(frozen=True)
+class Column:
+    """How a plane of numbers is part of a pixel of integers.
+
+    Attributes
+    ----------
+    place
+        Which of the pixel's integers it is.
+    steps
+        What they stand for.
+    """
+
+    place: int
+    steps: Steps
+
+
+def columns_of(steps: Sequence[Steps], told: str | None) -> tuple[Column, ...]:
+    """Where each of a network's features is in a pixel.
+
+    Parameters
+    ----------
+    steps
+        What the integers of a pixel stand for, one after the other.
+    told
+        A file's metadata of `PLACES_KEY`: a place for each feature, as JSON; None where they lie
+        in the order of the specification.
+
+    Raises
+    ------
+    ValueError
+        Not every place is told once.
+    """
+    places = list(range(len(steps))) if told is None else json.loads(told)
+    known = isinstance(places, list) and all(type(place) is int for place in places)
+    if not known or sorted(places) != list(range(len(steps))):
+        raise ValueError(f"{PLACES_KEY} must hold each of {len(steps)} places once, got {told}")
+    return tuple(Column(place, steps[place]) for place in places)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +109,7 @@ def numbers_of(steps: Steps) -> np.ndarray:
 
 
 def in_steps(
-    planes: Iterable[np.ndarray], steps: Sequence[Steps], out: np.ndarray, workspace: Workspace
+    planes: Iterable[np.ndarray], columns: Sequence[Column], out: np.ndarray, workspace: Workspace
 ) -> np.ndarray:
     """Numbers as integers of 8 bits, pixel by pixel.
 
@@ -74,21 +117,22 @@ def in_steps(
     ----------
     planes : (h, w) float32 each
         Within 2e9 steps of 0, as features are: what is beyond would wrap.
-    steps
-        What the integers of each plane stand for.
+    columns
+        Of each plane.
     out : (h, w, planes) uint8
         Contiguous; written and returned.
     workspace
         For what lies between.
     """
-    shape, count = out.shape[:2], len(steps)
+    shape, count = out.shape[:2], len(columns)
     integers = workspace.array("planes in steps", (count, *shape), np.uint8)
     whole = workspace.array("steps", shape)
-    for plane, step, target in zip(planes, steps, integers, strict=True):
+    for plane, column in zip(planes, columns, strict=True):
         # Rounded before the zero is added: a sum in float32 has lost what lies near a half, and
         # frames that differ in their exposure alone would be given other integers.
-        np.divide(plane, np.float32(step.scale), out=whole)
+        np.divide(plane, np.float32(column.steps.scale), out=whole)
         np.rint(whole, out=whole)
-        cv2.addWeighted(whole, 1, whole, 0, step.zero, dst=target, dtype=cv2.CV_8U)
+        target, zero = integers[column.place], column.steps.zero
+        cv2.addWeighted(whole, 1, whole, 0, zero, dst=target, dtype=cv2.CV_8U)
     cv2.transpose(integers.reshape(count, -1), dst=out.reshape(-1, count))
     return out
