@@ -12,7 +12,7 @@ import numpy as np
 
 from stillray.arrays.extend import surround
 from stillray.arrays.strips import STRIP_PIXELS, Strips, with_halo
-from stillray.arrays.watch import Watch
+from stillray.arrays.workspace import Workspace
 
 WINDOW = 17  # pixels, odd (section 3)
 # Pixels from center to center. differs: one pixel in 16 (section 3); one in 49 takes a third of the
@@ -70,7 +70,7 @@ def pilots(first: np.ndarray, second: np.ndarray, guides: np.ndarray, strips: St
 
     def work(blocks: slice) -> list[np.ndarray]:
         return [
-            _block(padded, shared, range(top, min(top + _ROWS, rows)), columns, strips.watch)
+            _block(padded, shared, range(top, min(top + _ROWS, rows)), columns, strips)
             for top in range(blocks.start * _ROWS, blocks.stop * _ROWS, _ROWS)
         ]
 
@@ -155,9 +155,10 @@ def deviation(log_radiance: np.ndarray) -> np.ndarray:
 
 
 def _block(
-    padded: np.ndarray, shared: np.ndarray, rows: range, columns: int, watch: Watch
+    padded: np.ndarray, shared: np.ndarray, rows: range, columns: int, strips: Strips
 ) -> np.ndarray:
     """Sums of eq. 5 over some rows of centers: ``(2, 4, h, w)``, of both halves."""
+    workspace = strips.workspace
     height = SPACING * (len(rows) - 1) + WINDOW
     start = SPACING * rows.start + SPACING // 2
     near = slice(start, start + height)
@@ -165,19 +166,27 @@ def _block(
     sums = np.zeros((2, _COLORS + 1, height, shared.shape[2] + _APART * SPACING), np.float32)
     for left in range(0, columns, _CENTERS):
         count = min(_CENTERS, columns - left)
-        common = _columns(shared[:, near], left, count)
-        seen = [_columns(planes[:, near], left, count) for planes in padded]
-        said = np.zeros((2, count, _COLORS + 1, height, WINDOW), np.float32)
+        common, first, second = (
+            _columns(planes[:, near], left, count, name, workspace)
+            for name, planes in (("common", shared), ("first", padded[0]), ("second", padded[1]))
+        )
+        said = workspace.array("said", (2, count, _COLORS + 1, height, WINDOW))
+        said.fill(0)
         for top in range(0, height - WINDOW + 1, SPACING):
-            watch.look()  # a block takes long, and cutting it would add up in another order
-            windows = [_windows(planes, top) for planes in (common, *seen)]
-            _say(windows[0], (windows[1], windows[2]), _windows(said, top))
+            strips.watch.look()  # a block takes long, and cutting it would add up in another order
+            seen = _windows(first, top), _windows(second, top)
+            _say(_windows(common, top), seen, _windows(said, top), workspace)
         for half in range(2):
             _add_columns(sums[half], said[half], left)
     return sums
 
 
-def _say(common: np.ndarray, seen: tuple[np.ndarray, np.ndarray], said: np.ndarray) -> None:
+def _say(
+    common: np.ndarray,
+    seen: tuple[np.ndarray, np.ndarray],
+    said: np.ndarray,
+    workspace: Workspace,
+) -> None:
     """Fit lines in windows, and add what they say, weighed, and their weights.
 
     Parameters
@@ -188,20 +197,26 @@ def _say(common: np.ndarray, seen: tuple[np.ndarray, np.ndarray], said: np.ndarr
         Both halves, and the deviation of each.
     said : (2, count, 4, pixels) float32
         What is added to.
+    workspace
+        Where what lines are fitted to lies: new memory would cost as much as the fit.
     """
     count, planes = common.shape[:2]
-    # 1, color, guides: colors are written over for the second half
-    variables = np.empty((count, _COLORS + planes, _PIXELS), np.float32)
+    explain = _COLORS + planes
+    # what explains, 1, color and guides, then what is explained: one product gives all sums
+    shape = (count, explain + _COLORS, _PIXELS)
+    variables = workspace.array("explain and explained", shape)
+    weighed = workspace.array("weighed", (count, explain, _PIXELS))
     variables[:, 0] = 1
-    guides = variables[:, 1 + _COLORS :]
+    guides = variables[:, 1 + _COLORS : explain]
     np.subtract(common[:, :-1], common[:, :-1, _PIXELS // 2, None], out=guides)
-    alike = _alike(guides, common[:, -1])
-    weighed = np.empty_like(variables)
+    apart, inside = np.einsum("ncp,ncp->np", guides, guides), common[:, -1]
     for half, sums in enumerate(said):
-        weighed[:, 0] = weights = _explain(seen[half], alike, variables)
-        np.multiply(variables[:, 1:], weights[:, None], out=weighed[:, 1:])
-        lines = _fit(variables, weighed, seen[1 - half][:, :_COLORS])
-        sums[:, :_COLORS] += lines @ weighed
+        variables[:, explain:] = seen[1 - half][:, :_COLORS]
+        weights = _explain(seen[half], apart, variables)
+        weights *= inside
+        weighed[:, 0] = weights
+        np.multiply(variables[:, 1:explain], weights[:, None], out=weighed[:, 1:])
+        sums[:, :_COLORS] += _fit(variables, weighed) @ weighed
         sums[:, _COLORS] += weights
 
 
@@ -218,15 +233,19 @@ def _summed(parts: list[np.ndarray], rows: slice, width: int) -> np.ndarray:
     return sums
 
 
-def _columns(planes: np.ndarray, left: int, count: int) -> np.ndarray:
+def _columns(
+    planes: np.ndarray, left: int, count: int, name: str, workspace: Workspace
+) -> np.ndarray:
     """Columns of pixels as wide as windows around some centers: ``(count, planes, h, 17)``.
 
-    A window of a column is one run of memory.
+    A window of a column is one run of memory, of an array in the workspace.
     """
     views = np.lib.stride_tricks.sliding_window_view(planes, WINDOW, axis=2)
     start = SPACING * left + SPACING // 2
     chosen = views[:, :, start : start + SPACING * count : SPACING]  # (p, h, count, 17)
-    return np.ascontiguousarray(chosen.transpose(2, 0, 1, 3))
+    columns = workspace.array(name, (count, *planes.shape[:2], WINDOW))
+    np.copyto(columns, chosen.transpose(2, 0, 1, 3))
+    return columns
 
 
 def _windows(columns: np.ndarray, top: int) -> np.ndarray:
@@ -236,44 +255,46 @@ def _windows(columns: np.ndarray, top: int) -> np.ndarray:
     return np.lib.stride_tricks.as_strided(part, (*part.shape[:-2], _PIXELS), steps)
 
 
-def _alike(apart: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """What pixels count by their guides alone, 0 outside of the frame: ``(count, pixels)``."""
-    squares = np.einsum("ncp,ncp->np", apart, apart)
-    np.exp(np.negative(squares, out=squares), out=squares)
-    squares *= inside
-    return squares
-
-
-def _explain(planes: np.ndarray, alike: np.ndarray, variables: np.ndarray) -> np.ndarray:
-    """Fill in the color's variables (eq. 6); gives the weights (eq. 7), ``(count, pixels)``."""
-    middle = planes[..., _PIXELS // 2, None]
-    noise, own = planes[:, _COLORS], middle[:, _COLORS]
-    apart = variables[:, 1 : 1 + _COLORS]
-    np.subtract(planes[:, :_COLORS], middle[:, :_COLORS], out=apart)
-    squares = np.einsum("ncp,ncp->np", apart, apart)
-    variance = np.square(noise)
-    variance += own**2 + _NOISE**2
-    squares /= variance
-    np.negative(squares, out=squares)
-    weights = np.exp(squares, out=squares)
-    weights *= alike
-    np.add(noise, own + _NOISE, out=variance)
-    apart *= np.reciprocal(variance, out=variance)[:, None]
-    return weights
-
-
-def _fit(variables: np.ndarray, weighed: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """Weighted least squares (eq. 4) of three planes: ``(count, 3, variables)``.
+def _explain(planes: np.ndarray, apart: np.ndarray, variables: np.ndarray) -> np.ndarray:
+    """Fill in the color's variables (eq. 6); gives the weights (eq. 7), ``(count, pixels)``.
 
     Parameters
     ----------
-    variables, weighed : (count, v, pixels) float32
-        The first of them 1, and all of them times the weights.
-    targets : (count, 3, pixels) float32
-        What they explain.
+    planes : (count, 4, pixels) float32
+        A half, and its deviation.
+    apart : (count, pixels) float32
+        Squares of how far guides are from those of the center.
+    variables : (count, more than 4, pixels) float32
+        The second to the fourth are written.
     """
-    normal = (weighed @ variables.transpose(0, 2, 1)).astype(np.float64)
-    right = (weighed @ targets.transpose(0, 2, 1)).astype(np.float64)
+    middle = planes[..., _PIXELS // 2, None]
+    noise, own = planes[:, _COLORS], middle[:, _COLORS]
+    colors = variables[:, 1 : 1 + _COLORS]
+    np.subtract(planes[:, :_COLORS], middle[:, :_COLORS], out=colors)
+    squares = np.einsum("ncp,ncp->np", colors, colors)
+    variance = np.square(noise)
+    variance += own**2 + _NOISE**2
+    squares /= variance
+    squares += apart
+    weights = np.exp(np.negative(squares, out=squares), out=squares)
+    np.add(noise, own + _NOISE, out=variance)
+    colors *= np.reciprocal(variance, out=variance)[:, None]
+    return weights
+
+
+def _fit(variables: np.ndarray, weighed: np.ndarray) -> np.ndarray:
+    """Weighted least squares (eq. 4) of three planes: ``(count, 3, v)``.
+
+    Parameters
+    ----------
+    variables : (count, v + 3, pixels) float32
+        The first of them 1; the last three are explained by the others.
+    weighed : (count, v, pixels) float32
+        What explains, times the weights.
+    """
+    explain = weighed.shape[1]
+    products = (weighed @ variables.transpose(0, 2, 1)).astype(np.float64)
+    normal, right = products[..., :explain], products[..., explain:]
     total = normal[:, 0, 0].copy()
     diagonal = np.einsum("nii->ni", normal)
     diagonal[:, 1:] += RIDGE * total[:, None] + _LEAST_WEIGHT
