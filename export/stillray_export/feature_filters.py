@@ -20,7 +20,7 @@ from stillray.families import feature_reconstruction as runtime
 from stillray.families.feature_filters import FeatureFiltersModel
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec
-from stillray.models.precision import int8_path
+from stillray.models.precision import int8_path, pairs_path
 from stillray.models.registry import WHOLE_SUFFIX, require_fit
 from stillray.models.session import checked
 from stillray_export.parity import (
@@ -76,7 +76,8 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
     for data, target in ((alone, path), (whole, out / f"{spec.name}{WHOLE_SUFFIX}.onnx")):
         with atomic_path(target) as temporary:
             temporary.write_bytes(data)
-    int8_path(path).unlink(missing_ok=True)  # it was of the weights before
+    for integers in (int8_path(path), pairs_path(path)):
+        integers.unlink(missing_ok=True)  # they were of the weights before
     return path
 
 

@@ -1,6 +1,7 @@
 """``python -m stillray_export.quantize kpyr-5 --data DATA``: its network in integers of 8 bits.
 
-``NAME.int8.onnx`` is written beside ``NAME.onnx``. Convolutions of 8-bit integers are half as dear
+``NAME.int8.onnx`` is written beside ``NAME.onnx``, and ``NAME.int8.pairs.onnx``, which takes pixels
+by twos, where a network has few planes. Convolutions of 8-bit integers are half as dear
 where a processor has instructions for them (`stillray.models.precision`), and a plane that is kept
 between them is a quarter of the bytes. What the network gives are logits of weights, whose mean
 stays a mean however they are rounded.
@@ -40,7 +41,7 @@ from stillray.errors import InputError
 from stillray.families.contract import Engine
 from stillray.frame import Frame
 from stillray.io.exr.read_write import atomic_path
-from stillray.models.precision import floats_of, int8_path
+from stillray.models.precision import floats_of, int8_path, pairs_path
 from stillray.models.registry import ModelInfo, find_model, require_fit
 from stillray.models.session import checked
 from stillray.models.steps import PLACES_KEY
@@ -245,13 +246,27 @@ def main(
         for sequence in sequences[:: -(-len(sequences) // most)]:
             features += features_of(info, sequence)
     network = quantized(info.path, features) if data else _with_scales_as_before(info)
-    arrange(network.graph, integers_out=family_of_model(info).traits.integers)
-    made, path = network.SerializeToString(), int8_path(info.path)
+    scales = f"of {len(features)} frames" if data else "scales as before"
+    for path, pairs in ((int8_path(info.path), False), (pairs_path(info.path), True)):
+        if made := _arranged(network, info, path, pairs=pairs):
+            with atomic_path(path) as temporary:
+                temporary.write_bytes(made)
+            print(f"{path}: {scales}")
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _arranged(network: onnx.ModelProto, info: ModelInfo, path: Path, *, pairs: bool) -> bytes:
+    """A file's bytes; none of pairs of pixels that a network does not take."""
+    copied = onnx.ModelProto()
+    copied.CopyFrom(network)
+    integers_out = family_of_model(info).traits.integers
+    if arrange(copied.graph, integers_out=integers_out, pairs=pairs) != pairs:
+        return b""
+    made: bytes = copied.SerializeToString()
     # what the runtime would refuse is found here, not by who runs the model
     require_fit(checked(made, path)[1], info.spec, path)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(made)
-    print(f"{path}: of {len(features)} frames" if data else f"{path}: scales as before")
+    return made
 
 
 def _with_scales_as_before(model: ModelInfo) -> onnx.ModelProto:

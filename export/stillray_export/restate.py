@@ -15,7 +15,7 @@ import typer
 from stillray.cli import program
 from stillray.errors import InputError
 from stillray.io.exr.read_write import atomic_path
-from stillray.models.precision import floats_of, int8_path
+from stillray.models.precision import floats_of, int8_path, pairs_path
 from stillray.models.registry import WHOLE_SUFFIX, find_model
 from stillray_export.to_onnx import as_specified_now, scores_of
 from stillray_training.onnx_graph import metadata_of
@@ -27,7 +27,7 @@ def restate(path: Path, validation: Path | None = None) -> list[Path]:
     Parameters
     ----------
     path
-        ``NAME.onnx``; its whole graph and its network in integers lie beside it, if any.
+        ``NAME.onnx``; its whole graph and its networks in integers lie beside it, if any.
     validation
         Sequences with references, whose scores take the place of those before; None for none: the
         scores stay.
@@ -48,7 +48,7 @@ def restate(path: Path, validation: Path | None = None) -> list[Path]:
     if spec.to_json() == info.spec.to_json():
         raise InputError(f"model must say something else than its specification today, got {path}")
     whole = path.with_name(f"{path.stem}{WHOLE_SUFFIX}.onnx")
-    files = [file for file in (path, whole, int8_path(path)) if file.is_file()]
+    files = [file for file in (path, whole, *_integers(path)) if file.is_file()]
     _tell(files, metadata_of(spec, info.provenance))
     if validation is not None:
         told = {**info.provenance, "scores": scores_of(path, validation)}
@@ -56,12 +56,16 @@ def restate(path: Path, validation: Path | None = None) -> list[Path]:
     return files
 
 
+def _integers(path: Path) -> tuple[Path, Path]:
+    return int8_path(path), pairs_path(path)
+
+
 def _tell(files: list[Path], metadata: dict[str, str]) -> None:
     """Write metadata into a model's files, the network of floats first."""
     for file in files:
         model = onnx.load(file)
         told = {entry.key: entry.value for entry in model.metadata_props} | metadata
-        if file == int8_path(files[0]):
+        if file in _integers(files[0]):
             told |= floats_of(files[0])
         del model.metadata_props[:]
         onnx.helper.set_model_props(model, told)

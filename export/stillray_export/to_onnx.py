@@ -23,7 +23,7 @@ from stillray.errors import InputError
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec, from_json, load
 from stillray.model_spec.loader import SpecError
-from stillray.models.precision import int8_path
+from stillray.models.precision import int8_path, pairs_path
 from stillray.models.registry import WHOLE_SUFFIX, find_model, require_fit
 from stillray.models.session import checked
 from stillray_export import feature_filters, parity
@@ -115,7 +115,8 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
     for model, target in ((alone, path), (whole, out / f"{spec.name}{WHOLE_SUFFIX}.onnx")):
         with atomic_path(target) as temporary:
             temporary.write_bytes(model.SerializeToString())
-    int8_path(path).unlink(missing_ok=True)  # it was of the weights before
+    for integers in (int8_path(path), pairs_path(path)):
+        integers.unlink(missing_ok=True)  # they were of the weights before
     return path
 
 

@@ -10,7 +10,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from stillray.model_spec import load  # noqa: E402
-from stillray.models.precision import int8_path  # noqa: E402
+from stillray.models.precision import int8_path, pairs_path  # noqa: E402
 from stillray.models.registry import WHOLE_SUFFIX, find_model, list_models, read_model  # noqa: E402
 from stillray.models.session import open_session  # noqa: E402
 from stillray_export import parity, to_onnx  # noqa: E402
@@ -54,7 +54,8 @@ def exported(request, tmp_path_factory):
         spec, network=replace(spec.network, **network), decoder=replace(spec.decoder, **decoder)
     )
     network = FAMILIES[spec.family].network(spec)
-    int8_path(folder / f"{spec.name}.onnx").write_bytes(b"of the weights before")
+    for path_of in (int8_path, pairs_path):
+        path_of(folder / f"{spec.name}.onnx").write_bytes(b"of the weights before")
     found = []
     check = parity.check  # many seconds a model, and the export does it: what it finds is kept
     with warnings.catch_warnings(), pytest.MonkeyPatch.context() as patch:
@@ -73,8 +74,9 @@ def test_exported_file_carries_its_spec_and_provenance(exported):
     assert b"/site-packages/" not in exported.path.read_bytes()
 
 
-def test_a_network_in_integers_of_the_weights_before_is_gone(exported):
+def test_networks_in_integers_of_the_weights_before_are_gone(exported):
     assert not int8_path(exported.path).exists()
+    assert not pairs_path(exported.path).exists()
 
 
 def test_both_graphs_agree_with_the_network_at_every_size(exported):

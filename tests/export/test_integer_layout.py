@@ -95,11 +95,11 @@ def integers(rng, tmp_path):
     return made
 
 
-def arranged(before, *, integers_out=False):
+def arranged(before, *, integers_out=False, pairs=True):
     """A rearranged copy, and the shapes of its tensors."""
     after = onnx.ModelProto()
     after.CopyFrom(before)
-    arrange(after.graph, integers_out=integers_out)
+    arrange(after.graph, integers_out=integers_out, pairs=pairs)
     return after, {tensor.name: list(tensor.dims) for tensor in after.graph.initializer}
 
 
@@ -142,6 +142,14 @@ def test_a_doubling_of_what_others_take_stays_and_no_pixels_are_paired(integers,
     assert shapes["enter.weight_quantized"][:2] == [10, 5]
 
 
+def test_pixels_are_paired_only_where_it_is_asked_for(integers, rng):
+    before = integers()
+    after, shapes = arranged(before, pairs=False)
+    require_same(before, after, rng.integers(0, 256, (1, 12, 16, 5), np.uint8))
+    assert shapes["enter.weight_quantized"][:2] == [PLANES, 5]
+    assert "Resize" not in operators(after)
+
+
 def test_many_planes_are_not_paired(integers, rng):
     before = integers(finest=32)
     after, shapes = arranged(before)
@@ -168,13 +176,13 @@ def test_outputs_stay_integers_whose_steps_the_file_tells(integers, rng):
         numbers = (new.astype(np.float32) - planes.steps.zero) * np.float32(planes.steps.scale)
         np.testing.assert_array_equal(numbers, old)
     with pytest.raises(InputError, match="logits_0 must be made of integers"):
-        arrange(after.graph, integers_out=True)
+        arrange(after.graph, integers_out=True, pairs=True)
 
 
 def test_a_file_tells_the_same_planes_before_and_after(integers):
     before = integers()
     told = interface_of(parse_onnx(before.SerializeToString()).graph)
-    arrange(before.graph, integers_out=False)
+    assert arrange(before.graph, integers_out=False, pairs=True)
     found = interface_of(parse_onnx(before.SerializeToString()).graph)
     assert found.outputs == told.outputs == (Planes(7, 1), Planes(6, 2), Planes(5, 4))
     assert found.steps == told.steps

@@ -11,7 +11,7 @@ onnx = pytest.importorskip("onnx")
 
 from stillray.errors import InputError  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
-from stillray.models.precision import floats_of, int8_path  # noqa: E402
+from stillray.models.precision import floats_of, int8_path, pairs_path  # noqa: E402
 from stillray.models.registry import SPEC_KEY, WHOLE_SUFFIX, find_model  # noqa: E402
 from stillray.pipeline.denoiser import Denoiser  # noqa: E402
 from stillray_export.restate import main, restate  # noqa: E402
@@ -31,7 +31,7 @@ def former(tmp_path):
     decoder = dataclasses.replace(spec.decoder, resolve_tone=0.5, sharp_recall=False)
     before = dataclasses.replace(spec, temporal=rules, decoder=decoder, differs=("old; here new",))
     path = tmp_path / packaged.name
-    for file in (path, path.with_name(f"{NAME}{WHOLE_SUFFIX}.onnx"), int8_path(path)):
+    for file in (path, path.with_name(f"{NAME}{WHOLE_SUFFIX}.onnx"), *integers_of(path)):
         model = onnx.load(file)
         told = {entry.key: entry.value for entry in model.metadata_props}
         onnx.helper.set_model_props(model, {**told, SPEC_KEY: before.to_json()})
@@ -42,7 +42,7 @@ def former(tmp_path):
 def test_files_say_what_is_specified_today_and_give_the_pictures_of_it(former):
     packaged = find_model(NAME)
     assert restate(former) == [
-        former, former.with_name(f"{NAME}{WHOLE_SUFFIX}.onnx"), int8_path(former)
+        former, former.with_name(f"{NAME}{WHOLE_SUFFIX}.onnx"), *integers_of(former)
     ]  # fmt: skip
     anew = find_model(former)
     assert anew.spec.temporal == load(NAME).temporal
@@ -58,10 +58,17 @@ def test_files_say_what_is_specified_today_and_give_the_pictures_of_it(former):
         np.testing.assert_array_equal(*pictures)
 
 
-def test_the_network_in_integers_is_of_the_new_file(former):
+def integers_of(path):
+    found = [file for file in (int8_path(path), pairs_path(path)) if file.is_file()]
+    assert found
+    return found
+
+
+def test_networks_in_integers_are_of_the_new_file(former):
     restate(former)
-    told = {entry.key: entry.value for entry in onnx.load(int8_path(former)).metadata_props}
-    assert told.items() >= floats_of(former).items()
+    for path in integers_of(former):
+        told = {entry.key: entry.value for entry in onnx.load(path).metadata_props}
+        assert told.items() >= floats_of(former).items()
 
 
 def test_a_model_that_says_it_already_is_left_alone(former):

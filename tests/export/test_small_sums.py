@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from onnx import helper, numpy_helper
 from onnxruntime import GraphOptimizationLevel, InferenceSession, SessionOptions
 
-from stillray.models.precision import int8_path
+from stillray.models.precision import int8_path, pairs_path
 from stillray.models.registry import find_model
 from stillray.models.small_sums import MOST, neighbours_sum
 from stillray_export.integer_layout import arrange
@@ -72,8 +72,9 @@ def convolution(weights):
     return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
 
 
+@pytest.mark.parametrize("pairs", [False, True])
 @pytest.mark.parametrize("inputs", [16, 13])
-def test_weights_that_are_all_as_large_do_not_overflow(tmp_path, rng, inputs):
+def test_weights_that_are_all_as_large_do_not_overflow(tmp_path, rng, inputs, pairs):
     # signs alone, so that without a coarser scale half of all sums of two leave 16 bits
     weights = np.sign(rng.normal(size=(16, inputs, 3, 3)))
     path = tmp_path / "large.onnx"
@@ -81,7 +82,7 @@ def test_weights_that_are_all_as_large_do_not_overflow(tmp_path, rng, inputs):
     # a plane is nowhere between, so that one is as bright as can be wherever it is not 0
     given = np.where(rng.random((1, 32, 32, inputs)) < 0.5, 0, 255).astype(np.uint8)
     network = quantized(path, [given.transpose(0, 3, 1, 2) / np.float32(255.0)])
-    arrange(network.graph, integers_out=True)
+    arrange(network.graph, integers_out=True, pairs=pairs)
     assert_as_said(network, given)
 
 
@@ -108,9 +109,19 @@ def _run(network, given, level):
     return session.run(None, {session.get_inputs()[0].name: given})
 
 
-@pytest.mark.parametrize("name", ["kpyr-5", "kpyr-5s", "kpyr-5-still", "kpyr-5s-still"])
-def test_each_convolution_that_ships_is_computed_here_as_its_integers_say(name, rng):
-    network = onnx.load(int8_path(find_model(name).path))
+@pytest.mark.parametrize(
+    ("name", "path_of"),
+    [
+        ("kpyr-5", int8_path),
+        ("kpyr-5", pairs_path),
+        ("kpyr-5s", int8_path),
+        ("kpyr-5-still", int8_path),
+        ("kpyr-5-still", pairs_path),
+        ("kpyr-5s-still", int8_path),
+    ],
+)
+def test_each_convolution_that_ships_is_computed_here_as_its_integers_say(name, path_of, rng):
+    network = onnx.load(path_of(find_model(name).path))
     tensors = {each.name: each for each in network.graph.initializer}
     makers = {node.output[0]: node for node in network.graph.node}
     convolutions = [node for node in network.graph.node if node.op_type == "Conv"]

@@ -53,6 +53,7 @@ def test_the_picture_is_the_same_to_the_eye(model):
 def test_integers_are_chosen_where_a_processor_multiplies_them(monkeypatch):
     path = find_model("high").path
     integers = precision.int8_path(path)
+    monkeypatch.setattr(precision, "sums_are_wide", lambda: False)
     for multiplies, expected in ((True, integers), (False, path)):
         monkeypatch.setattr(precision, "multiplies_int8", lambda found=multiplies: found)
         assert precision.chosen(path, "auto", None) == expected
@@ -60,6 +61,26 @@ def test_integers_are_chosen_where_a_processor_multiplies_them(monkeypatch):
         assert precision.chosen(path, "auto", ("CUDAExecutionProvider",)) == path
         assert precision.chosen(path, "float32", None) == path
         assert precision.chosen(path, "int8", None) == integers
+
+
+@pytest.mark.parametrize("model", ["kpyr-5", "kpyr-5s"])
+def test_pairs_of_pixels_are_chosen_where_sums_are_wide_and_there_are_some(model, monkeypatch):
+    path = find_model(model).path
+    pairs = precision.pairs_path(path)
+    assert pairs.is_file() == (model == "kpyr-5")
+    monkeypatch.setattr(precision, "sums_are_wide", lambda: True)
+    expected = pairs if model == "kpyr-5" else precision.int8_path(path)
+    assert precision.chosen(path, "int8", None) == expected
+
+
+def test_pairs_of_pixels_are_the_same_network(monkeypatch):
+    frames = [read_exr(path) for path in sorted(ROOM.glob("frame_*.exr"))[:2]]
+    pictures = []
+    for wide in (False, True):
+        monkeypatch.setattr(precision, "sums_are_wide", lambda found=wide: found)
+        with stillray.Denoiser("kpyr-5", precision="int8") as denoiser:
+            pictures.append([denoiser.denoise(frame) for frame in frames][-1])
+    np.testing.assert_array_equal(*pictures)
 
 
 def test_a_model_without_integers_runs_in_floats_unless_they_are_asked_for():

@@ -24,7 +24,7 @@ from stillray.models.frame_graph import (
     read_frame_graph,
 )
 from stillray.models.network_graph import Interface, Planes
-from stillray.models.precision import INT8_SUFFIX
+from stillray.models.precision import INT8_SUFFIX, PAIRS_SUFFIX
 from stillray.models.session import read_checked
 
 SPEC_KEY = "stillray.spec"
@@ -141,7 +141,7 @@ UNLISTED = "unlisted"
 def _files(folder: str = "") -> dict[str, Path]:
     """Packaged models by name."""
     paths = sorted((_folder() / folder).glob("*.onnx"))
-    others = (WHOLE_SUFFIX, FRAME_SUFFIX, SPATIAL_SUFFIX, INT8_SUFFIX)
+    others = (WHOLE_SUFFIX, FRAME_SUFFIX, SPATIAL_SUFFIX, INT8_SUFFIX, PAIRS_SUFFIX)
     return {path.stem: path for path in paths if not path.stem.endswith(others)}
 
 
@@ -153,9 +153,12 @@ def read_model(path: Path) -> ModelInfo:
     InputError
         The file is missing, is not ONNX, or holds what `stillray-export` does not write.
     """
-    if path.name.endswith(f"{INT8_SUFFIX}.onnx"):
-        floats = path.name.removesuffix(f"{INT8_SUFFIX}.onnx")
-        raise InputError(f"{path}: is the network of {floats}.onnx in integers; that is the model")
+    for suffix in (INT8_SUFFIX, PAIRS_SUFFIX):
+        if path.name.endswith(f"{suffix}.onnx"):
+            floats = path.name.removesuffix(f"{suffix}.onnx")
+            raise InputError(
+                f"{path}: is the network of {floats}.onnx in integers; that is the model"
+            )
     for suffix in (WHOLE_SUFFIX, FRAME_SUFFIX, SPATIAL_SUFFIX):
         if path.name.endswith(f"{suffix}.onnx"):
             raise InputError(
