@@ -41,7 +41,7 @@ from stillray.errors import InputError
 from stillray.families.contract import Engine
 from stillray.frame import Frame
 from stillray.io.exr.read_write import atomic_path
-from stillray.models.precision import floats_of, int8_path, pairs_path
+from stillray.models.precision import int8_path, is_made_of, made_of, pairs_path
 from stillray.models.registry import ModelInfo, find_model, require_fit
 from stillray.models.session import checked
 from stillray.models.steps import PLACES_KEY
@@ -49,7 +49,7 @@ from stillray.pipeline.denoiser import Denoiser
 from stillray.pipeline.opening import engine_of_model, family_of_model
 from stillray_export.integer_layout import arrange
 from stillray_export.plane_order import order_features
-from stillray_export.small_sums import bound_sums
+from stillray_export.small_sums import weight_scales
 from stillray_training.blocks import frames_of, mean_frame, read_blocks
 from stillray_training.run import sequences_in
 from stillray_training.targets import read_filter
@@ -97,19 +97,21 @@ def quantized(
             per_channel=True,
             op_types_to_quantize=list(OPERATORS),
             calibrate_method=CalibrationMethod.Percentile,
-            extra_options={"CalibPercentile": 99.999, "TensorQuantOverrides": dict(scales or {})},
+            extra_options={
+                "CalibPercentile": 99.999,
+                "TensorQuantOverrides": {**weight_scales(floats.graph), **(scales or {})},
+            },
         )
         found = onnx.load(made)
     for tensor in found.graph.initializer:
         # one way to hold numbers, which the runtime reads
         tensor.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(tensor), tensor.name))
     del found.graph.value_info[:]
-    bound_sums(found.graph, floats.graph)
     take_pixels(found.graph)
     told = {entry.key: entry.value for entry in floats.metadata_props}
     del found.metadata_props[:]
     told[PLACES_KEY] = json.dumps(places)
-    helper.set_model_props(found, {**told, **floats_of(model)})
+    helper.set_model_props(found, {**told, **made_of(model.read_bytes())})
     return found
 
 
@@ -236,7 +238,9 @@ def main(
         list[Path] | None,
         typer.Option(help="Folder of sequences; repeatable. Without, scales stay as they are."),
     ] = None,
-    most: Annotated[int, typer.Option(min=1, help="Sequences of each folder at most.")] = 24,
+    most: Annotated[
+        int, typer.Option(min=1, help="Sequences of each folder of data at most.")
+    ] = 24,
 ) -> None:
     """Write the network of a model in integers of 8 bits beside it."""
     info = find_model(model)
@@ -247,32 +251,40 @@ def main(
             features += features_of(info, sequence)
     network = quantized(info.path, features) if data else _with_scales_as_before(info)
     scales = f"of {len(features)} frames" if data else "scales as before"
-    for path, pairs in ((int8_path(info.path), False), (pairs_path(info.path), True)):
-        if made := _arranged(network, info, path, pairs=pairs):
-            with atomic_path(path) as temporary:
-                temporary.write_bytes(made)
-            print(f"{path}: {scales}")
-        else:
-            path.unlink(missing_ok=True)
+    # both are made before either takes the place of what is there
+    pixels, pairs = (_arranged(network, info, pairs=pairs) for pairs in (False, True))
+    assert pixels is not None
+    files = {int8_path(info.path): pixels.SerializeToString()}
+    if pairs is not None:
+        told = {entry.key: entry.value for entry in pairs.metadata_props}
+        helper.set_model_props(pairs, told | made_of(files[int8_path(info.path)]))
+        files[pairs_path(info.path)] = pairs.SerializeToString()
+    else:
+        pairs_path(info.path).unlink(missing_ok=True)
+    for path, made in files.items():
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(made)
+        print(f"{path}: {scales}")
 
 
-def _arranged(network: onnx.ModelProto, info: ModelInfo, path: Path, *, pairs: bool) -> bytes:
-    """A file's bytes; none of pairs of pixels that a network does not take."""
+def _arranged(network: onnx.ModelProto, info: ModelInfo, *, pairs: bool) -> onnx.ModelProto | None:
+    """A copy as processors take it; None of pairs of pixels that a network does not have."""
     copied = onnx.ModelProto()
     copied.CopyFrom(network)
     integers_out = family_of_model(info).traits.integers
     if arrange(copied.graph, integers_out=integers_out, pairs=pairs) != pairs:
-        return b""
-    made: bytes = copied.SerializeToString()
+        return None
     # what the runtime would refuse is found here, not by who runs the model
-    require_fit(checked(made, path)[1], info.spec, path)
-    return made
+    require_fit(checked(copied.SerializeToString(), info.name)[1], info.spec, info.name)
+    return copied
 
 
 def _with_scales_as_before(model: ModelInfo) -> onnx.ModelProto:
     path = int8_path(model.path)
-    if not path.is_file():
-        raise InputError(f"data must be given for {model.name}, which has no {path.name}")
+    if not path.is_file() or not is_made_of(path, model.path):
+        raise InputError(
+            f"data must be given for {model.name}, beside which lies no {path.name} made of it"
+        )
     nothing = np.zeros((1, model.interface.features, *_SOME_SIZE), np.float32)
     return quantized(model.path, [nothing], scales_of(path))
 

@@ -15,7 +15,7 @@ import typer
 from stillray.cli import program
 from stillray.errors import InputError
 from stillray.io.exr.read_write import atomic_path
-from stillray.models.precision import floats_of, int8_path, pairs_path
+from stillray.models.precision import int8_path, made_of, pairs_path
 from stillray.models.registry import WHOLE_SUFFIX, find_model
 from stillray_export.to_onnx import as_specified_now, scores_of
 from stillray_training.onnx_graph import metadata_of
@@ -48,7 +48,7 @@ def restate(path: Path, validation: Path | None = None) -> list[Path]:
     if spec.to_json() == info.spec.to_json():
         raise InputError(f"model must say something else than its specification today, got {path}")
     whole = path.with_name(f"{path.stem}{WHOLE_SUFFIX}.onnx")
-    files = [file for file in (path, whole, *_integers(path)) if file.is_file()]
+    files = [file for file in (path, whole, int8_path(path), pairs_path(path)) if file.is_file()]
     _tell(files, metadata_of(spec, info.provenance))
     if validation is not None:
         told = {**info.provenance, "scores": scores_of(path, validation)}
@@ -56,17 +56,15 @@ def restate(path: Path, validation: Path | None = None) -> list[Path]:
     return files
 
 
-def _integers(path: Path) -> tuple[Path, Path]:
-    return int8_path(path), pairs_path(path)
-
-
 def _tell(files: list[Path], metadata: dict[str, str]) -> None:
-    """Write metadata into a model's files, the network of floats first."""
+    """Write metadata into a model's files, each after that which it was made of."""
+    floats = files[0]
+    sources = {int8_path(floats): floats, pairs_path(floats): int8_path(floats)}
     for file in files:
         model = onnx.load(file)
         told = {entry.key: entry.value for entry in model.metadata_props} | metadata
-        if file in _integers(files[0]):
-            told |= floats_of(files[0])
+        if file in sources:
+            told |= made_of(sources[file].read_bytes())
         del model.metadata_props[:]
         onnx.helper.set_model_props(model, told)
         with atomic_path(file) as temporary:

@@ -7,6 +7,8 @@ outputs alone are given a coarser scale, by a tenth in the middle, by two at mos
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import onnx
 from onnx import numpy_helper
@@ -14,37 +16,23 @@ from onnx import numpy_helper
 from stillray.models.small_sums import MOST, neighbours_sum
 
 
-def bound_sums(integers: onnx.GraphProto, floats: onnx.GraphProto) -> None:
-    """Make the weights of a network's convolutions anew, in scales that keep sums small.
+def weight_scales(floats: onnx.GraphProto) -> dict[str, list[dict[str, Any]]]:
+    """Scales of the weights of convolutions, as ONNX Runtime's quantisation takes them.
 
     Parameters
     ----------
-    integers
-        Of ONNX Runtime's quantisation, weights a scale for each output. Changed.
     floats
-        What it was made of.
+        The network.
     """
-    tensors = {tensor.name: tensor for tensor in integers.initializer}
-    known = {tensor.name: tensor for tensor in floats.initializer}
-    makers = {node.output[0]: node for node in integers.node}
-    for node in integers.node:
-        if node.op_type != "Conv":
-            continue
-        planes, weights, bias = (makers[name] for name in node.input)
-        # the names that ONNX Runtime's quantisation gives
-        name = weights.input[0].removesuffix("_quantized")
-        values = numpy_helper.to_array(known[name]).astype(np.float64)
-        scale = scales_of_outputs(values).astype(np.float32)
-        of_sums = numpy_helper.to_array(tensors[planes.input[1]]) * scale
-        told = numpy_helper.to_array(known[bias.input[0].removesuffix("_quantized")])
-        made = np.rint(values / scale[:, None, None, None].astype(np.float64))
-        for target, array in (
-            (weights.input[0], made.astype(np.int8)),
-            (weights.input[1], scale),
-            (bias.input[0], np.rint(told / of_sums.astype(np.float64)).astype(np.int32)),
-            (bias.input[1], of_sums),
-        ):
-            tensors[target].CopyFrom(numpy_helper.from_array(array, target))
+    tensors = {tensor.name: tensor for tensor in floats.initializer}
+    return {
+        node.input[1]: [
+            {"axis": 0, "scale": scale, "zero_point": np.int8(0)}
+            for scale in scales_of_outputs(numpy_helper.to_array(tensors[node.input[1]]))
+        ]
+        for node in floats.node
+        if node.op_type == "Conv"
+    }
 
 
 def scales_of_outputs(weights: np.ndarray) -> np.ndarray:
@@ -57,7 +45,7 @@ def scales_of_outputs(weights: np.ndarray) -> np.ndarray:
 
     Returns
     -------
-    (outputs,)
+    (outputs,) float32
         What one step of its integers is worth; of an output without weights, 1.
     """
     # of an odd number of inputs, which two are neighbours depends on where a row begins, and
@@ -66,4 +54,4 @@ def scales_of_outputs(weights: np.ndarray) -> np.ndarray:
     sums = [neighbours_sum(weights, first) for first in firsts]
     # rounding makes each of two greater by half a step at most
     scale = np.max(sums, axis=0) / (MOST - 1)
-    return np.where(scale > 0.0, scale, 1.0)
+    return np.where(scale > 0.0, scale, 1.0).astype(np.float32)

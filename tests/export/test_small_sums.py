@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from onnx import helper, numpy_helper
 from onnxruntime import GraphOptimizationLevel, InferenceSession, SessionOptions
 
-from stillray.models.precision import int8_path, pairs_path
+from stillray.models.precision import int8_path
 from stillray.models.registry import find_model
 from stillray.models.small_sums import MOST, neighbours_sum
 from stillray_export.integer_layout import arrange
@@ -82,7 +82,7 @@ def test_weights_that_are_all_as_large_do_not_overflow(tmp_path, rng, inputs, pa
     # a plane is nowhere between, so that one is as bright as can be wherever it is not 0
     given = np.where(rng.random((1, 32, 32, inputs)) < 0.5, 0, 255).astype(np.uint8)
     network = quantized(path, [given.transpose(0, 3, 1, 2) / np.float32(255.0)])
-    arrange(network.graph, integers_out=True, pairs=pairs)
+    assert arrange(network.graph, integers_out=True, pairs=pairs) == pairs
     assert_as_said(network, given)
 
 
@@ -109,19 +109,16 @@ def _run(network, given, level):
     return session.run(None, {session.get_inputs()[0].name: given})
 
 
-@pytest.mark.parametrize(
-    ("name", "path_of"),
-    [
-        ("kpyr-5", int8_path),
-        ("kpyr-5", pairs_path),
-        ("kpyr-5s", int8_path),
-        ("kpyr-5-still", int8_path),
-        ("kpyr-5-still", pairs_path),
-        ("kpyr-5s-still", int8_path),
-    ],
+PACKAGED = sorted(
+    path
+    for name in ("kpyr-5", "munet-x2")
+    for path in find_model(name).path.parent.glob("*.int8*.onnx")
 )
-def test_each_convolution_that_ships_is_computed_here_as_its_integers_say(name, path_of, rng):
-    network = onnx.load(path_of(find_model(name).path))
+
+
+@pytest.mark.parametrize("path", PACKAGED, ids=lambda path: path.stem)
+def test_each_convolution_that_ships_is_computed_here_as_its_integers_say(path, rng):
+    network = onnx.load(path)
     tensors = {each.name: each for each in network.graph.initializer}
     makers = {node.output[0]: node for node in network.graph.node}
     convolutions = [node for node in network.graph.node if node.op_type == "Conv"]
@@ -167,6 +164,10 @@ def test_planes_keep_the_scales_of_the_file_that_is_there():
     network = quantized(model.path, [nothing], before)
     told = {each.name: numpy_helper.to_array(each) for each in network.graph.initializer}
     assert len(before) > 20
+    made = {
+        name.removesuffix("_zero_point") for name, each in told.items() if each.dtype == np.uint8
+    }
+    assert made == before.keys()  # nothing was calibrated
     for plane, (kept,) in before.items():
         assert told[f"{plane}_scale"] == kept["scale"]
         assert told[f"{plane}_zero_point"] == kept["zero_point"]

@@ -18,21 +18,25 @@ from stillray.models.registry import find_model, list_models
 from stillray.models.session import read_checked
 
 ROOM = Path(__file__).parents[1] / "data" / "room"
-WITH_INTEGERS = ["kpyr-5", "kpyr-5s", "kpyr-5-still", "kpyr-5s-still", "munet-x2"]
+WITH_INTEGERS = ["kpyr-5", "kpyr-5s", "kpyr-5-still", "kpyr-5s-still", "munet-x1", "munet-x2"]
 
 
 @pytest.mark.parametrize("model", WITH_INTEGERS)
 def test_a_network_of_integers_takes_and_gives_what_that_of_floats_does(model):
     path = find_model(model).path
     _, floats = read_checked(path)
-    _, integers = read_checked(precision.int8_path(path))
-    assert integers.features == floats.features
-    sizes = [
-        [(planes.count, planes.reduction) for planes in found.outputs]
-        for found in (integers, floats)
-    ]
-    assert sizes[0] == sizes[1]
-    assert all(planes.steps is not None for planes in integers.outputs)
+    for file in (precision.int8_path(path), precision.pairs_path(path)):
+        if not file.is_file():
+            continue
+        _, integers = read_checked(file)
+        assert integers.features == floats.features
+        sizes = [
+            [(planes.count, planes.reduction) for planes in found.outputs]
+            for found in (integers, floats)
+        ]
+        assert sizes[0] == sizes[1]
+        if model.startswith("kpyr"):
+            assert all(planes.steps is not None for planes in integers.outputs)
     assert precision.int8_path(path).stat().st_size < 0.4 * path.stat().st_size
 
 
@@ -53,7 +57,6 @@ def test_the_picture_is_the_same_to_the_eye(model):
 def test_integers_are_chosen_where_a_processor_multiplies_them(monkeypatch):
     path = find_model("high").path
     integers = precision.int8_path(path)
-    monkeypatch.setattr(precision, "sums_are_wide", lambda: False)
     for multiplies, expected in ((True, integers), (False, path)):
         monkeypatch.setattr(precision, "multiplies_int8", lambda found=multiplies: found)
         assert precision.chosen(path, "auto", None) == expected
@@ -63,21 +66,33 @@ def test_integers_are_chosen_where_a_processor_multiplies_them(monkeypatch):
         assert precision.chosen(path, "int8", None) == integers
 
 
-@pytest.mark.parametrize("model", ["kpyr-5", "kpyr-5s"])
-def test_pairs_of_pixels_are_chosen_where_sums_are_wide_and_there_are_some(model, monkeypatch):
-    path = find_model(model).path
-    pairs = precision.pairs_path(path)
-    assert pairs.is_file() == (model == "kpyr-5")
-    monkeypatch.setattr(precision, "sums_are_wide", lambda: True)
-    expected = pairs if model == "kpyr-5" else precision.int8_path(path)
-    assert precision.chosen(path, "int8", None) == expected
+def test_pairs_of_pixels_run_where_they_are_quicker_and_of_the_same_file(monkeypatch, tmp_path):
+    for name in ("kpyr-5", "kpyr-5s"):
+        path = find_model(name).path
+        for file in (path, precision.int8_path(path), precision.pairs_path(path)):
+            if file.is_file():
+                shutil.copy(file, tmp_path)
+    integers, pairs = (
+        precision.int8_path(path := tmp_path / "kpyr-5.onnx"),
+        precision.pairs_path(path),
+    )
+    for quicker, expected in ((True, pairs), (False, integers)):
+        monkeypatch.setattr(precision, "pairs_are_quicker", lambda found=quicker: found)
+        assert precision.chosen(path, "int8", None) == integers
+        assert precision.quickest(integers) == expected
+        assert precision.quickest(path) == path
+    monkeypatch.setattr(precision, "pairs_are_quicker", lambda: True)
+    small = precision.int8_path(tmp_path / "kpyr-5s.onnx")
+    assert precision.quickest(small) == small  # it has none
+    integers.write_bytes(integers.read_bytes() + b"\x32\x01x")  # another doc string
+    assert precision.quickest(integers) == integers
 
 
-def test_pairs_of_pixels_are_the_same_network(monkeypatch):
+def test_pairs_of_pixels_give_the_same_picture(monkeypatch):
     frames = [read_exr(path) for path in sorted(ROOM.glob("frame_*.exr"))[:2]]
     pictures = []
-    for wide in (False, True):
-        monkeypatch.setattr(precision, "sums_are_wide", lambda found=wide: found)
+    for quicker in (False, True):
+        monkeypatch.setattr(precision, "pairs_are_quicker", lambda found=quicker: found)
         with stillray.Denoiser("kpyr-5", precision="int8") as denoiser:
             pictures.append([denoiser.denoise(frame) for frame in frames][-1])
     np.testing.assert_array_equal(*pictures)

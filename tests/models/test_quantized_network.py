@@ -67,7 +67,7 @@ def test_tensors_are_the_integers_of_the_file():
     [
         (
             {"weights": np.array([[[[64]], [[65]], [[0]]]] * 2, np.int8)},
-            r"no two of which add up to more than 128: make the file anew with stillray_export",
+            r"no two neighbours of one sign add up to more than 128: make the file anew",
         ),
         ({"scale": np.ones(3, np.float32)}, "QuantizeLinear must have one scale for an image"),
         ({"scale": np.array(0, np.float32)}, "must have a scale above 0, got 0"),

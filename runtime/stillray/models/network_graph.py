@@ -477,7 +477,8 @@ def _dequantized(node: Node, inputs: _Inputs) -> np.ndarray:
         fits = bool((neighbours_sum(given) <= MOST).all())
         # what a file made before lacks
         how = "make the file anew with stillray_export.quantize"
-        _require(node, fits, f"must have weights no two of which add up to more than {MOST}: {how}")
+        rule = f"no two neighbours of one sign add up to more than {MOST}"
+        _require(node, fits, f"must have weights of which {rule}: {how}")
     along = (-1, *[1] * (given.ndim - 1)) if scale.shape else ()
     with np.errstate(over="ignore", invalid="ignore"):
         steps = given.astype(np.float32) - zero.astype(np.float32).reshape(along)

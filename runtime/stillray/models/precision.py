@@ -1,11 +1,12 @@
 """In what numbers a network computes: 32-bit floats, or integers of 8 bits where that is faster.
 
-Models may come with a second file of their network, ``NAME.int8.onnx``, whose convolutions are of
+Models may come with another file of their network, ``NAME.int8.onnx``, whose convolutions are of
 8-bit integers (`stillray_export.quantize`). It runs on processors that multiply them many at once:
-four a sum with AVX-512 VNNI, two with AVX2, where its weights keep sums small enough
-(`stillray.models.small_sums`), so that both compute the same; elsewhere it was not measured. With
-AVX-512, whose sums are of many columns, ``NAME.int8.pairs.onnx`` is taken where it is there: the
-same network to the same integers, but pixels are taken by twos where there are few planes.
+four a sum with VNNI, two with AVX2 or AVX-512 alone, where its weights keep sums small enough
+(`stillray.models.small_sums`), so that all compute the same; elsewhere it was not measured. With
+AVX-512, whose products are of many columns, ``NAME.int8.pairs.onnx`` runs in its place if it was
+made of it: the same network to the same integers, but pixels are taken by twos where there are few
+planes.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ from stillray.models.session import CPU, Provider, provider_names
 INT8_SUFFIX, PAIRS_SUFFIX = ".int8", ".int8.pairs"
 #: What may be asked for: `chosen` explains.
 PRECISIONS = ("auto", "float32", "int8")
-_FLOATS_KEY = "stillray.floats"
+_SOURCE_KEY = "stillray.floats"  # of pairs it tells the file by pixels
 _DIGEST_BYTES = 16
 # OpenCV's numbers of instruction sets; AVX2 is there wherever AVX-512 is
-_AVX2, _AVX512_SKX = 11, 256
+_AVX2, _AVX512_VNNI, _AVX512_SKX = 11, 23, 256
 
 
 def int8_path(model: Path) -> Path:
@@ -37,13 +38,18 @@ def int8_path(model: Path) -> Path:
 
 
 def pairs_path(model: Path) -> Path:
-    """The file of a model's network in integers by pairs of pixels, which may not be there."""
+    """The file of the same network by pairs of pixels, which may not be there."""
     return model.with_name(f"{model.stem}{PAIRS_SUFFIX}.onnx")
 
 
-def sums_are_wide() -> bool:
-    """Whether this processor has AVX-512, with which pairs of pixels are quicker."""
+def pairs_are_quicker() -> bool:
+    """Whether this processor has AVX-512."""
     return bool(cv2.checkHardwareSupport(_AVX512_SKX))
+
+
+def integers_a_float() -> int:
+    """How many integers of 8 bits this processor multiplies in the time of a float."""
+    return 4 if cv2.checkHardwareSupport(_AVX512_VNNI) else 2
 
 
 def multiplies_int8() -> bool:
@@ -51,10 +57,44 @@ def multiplies_int8() -> bool:
     return bool(cv2.checkHardwareSupport(_AVX2))
 
 
-def floats_of(model: Path) -> dict[str, str]:
-    """What a network of integers says of the file that it was made from."""
-    digest = hashlib.blake2b(read_bytes(model), digest_size=_DIGEST_BYTES).hexdigest()
-    return {_FLOATS_KEY: digest}
+def made_of(source: bytes) -> dict[str, str]:
+    """What a network of integers says of the file that it was made of.
+
+    Parameters
+    ----------
+    source
+        Of the network of floats; of pairs of pixels, that of integers by pixels.
+    """
+    return {_SOURCE_KEY: hashlib.blake2b(source, digest_size=_DIGEST_BYTES).hexdigest()}
+
+
+def is_made_of(path: Path, source: Path) -> bool:
+    """Whether a network of integers says that it was made of a file.
+
+    Raises
+    ------
+    InputError
+        It is no ONNX file.
+    """
+    try:
+        told = metadata_of(read_bytes(path))
+    except WireError as error:
+        raise InputError(f"{path}: not a usable ONNX model: {error}") from None
+    return made_of(read_bytes(source)).items() <= told.items()
+
+
+def quickest(network: Path) -> Path:
+    """The file that gives what the network of a file does and is quickest here.
+
+    Parameters
+    ----------
+    network
+        From `chosen`, which also names what pictures depend on: the same on every processor.
+    """
+    if not network.stem.endswith(INT8_SUFFIX) or not pairs_are_quicker():
+        return network
+    pairs = pairs_path(network.with_name(f"{network.stem.removesuffix(INT8_SUFFIX)}.onnx"))
+    return pairs if pairs.is_file() and is_made_of(pairs, network) else network
 
 
 def chosen(model: Path, precision: str, providers: Sequence[Provider] | None) -> Path:
@@ -79,20 +119,15 @@ def chosen(model: Path, precision: str, providers: Sequence[Provider] | None) ->
     if precision not in PRECISIONS:
         raise InputError(f"precision must be one of {', '.join(PRECISIONS)}, got {precision}")
     path = int8_path(model)
-    if sums_are_wide() and pairs_path(model).is_file():
-        path = pairs_path(model)
     here = provider_names(providers) == [CPU] and multiplies_int8()
     if precision == "float32" or (precision == "auto" and not (here and path.is_file())):
         return model
     if not path.is_file():
         raise InputError(f"precision must be float32 of {model.stem}, which has no {path.name}")
-    try:
-        told = metadata_of(read_bytes(path))
-    except WireError as error:
-        raise InputError(f"{path}: not a usable ONNX model: {error}") from None
-    if told.get(_FLOATS_KEY) != floats_of(model)[_FLOATS_KEY]:
+    if not is_made_of(path, model):
         raise InputError(
             f"{path}: must be made of the file {model.name} beside it, is of another: make it "
-            f"anew (python -m stillray_export.quantize), or take it away"
+            f"anew (python -m stillray_export.quantize {model.stem} --data SEQUENCES), or take it "
+            f"away"
         )
     return path

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ from stillray.arrays.workspace import Workspace
 
 #: Metadata of a file whose features lie in another order than their specification's: `columns_of`.
 PLACES_KEY = "stillray.places"
+_SHOWN = 80  # characters of what cannot be read
 
 
 @dataclass(frozen=True)
@@ -63,10 +65,15 @@ def columns_of(steps: Sequence[Steps], told: str | None) -> tuple[Column, ...]:
     ValueError
         Not every place is told once.
     """
-    places = list(range(len(steps))) if told is None else json.loads(told)
+    every: Any = list(range(len(steps)))
+    try:
+        places = every if told is None else json.loads(told)
+    except (ValueError, RecursionError):
+        places = None
     known = isinstance(places, list) and all(type(place) is int for place in places)
-    if not known or sorted(places) != list(range(len(steps))):
-        raise ValueError(f"{PLACES_KEY} must hold each of {len(steps)} places once, got {told}")
+    if not known or sorted(places) != every:
+        found = str(told)[:_SHOWN]
+        raise ValueError(f"{PLACES_KEY} must hold each of {len(steps)} places once, got {found}")
     return tuple(Column(place, steps[place]) for place in places)
 
 

@@ -11,7 +11,7 @@ from stillray.families.frame_graph import FrameGraphModel
 from stillray.families.registry import FAMILIES
 from stillray.model_spec.loader import ModelSpec
 from stillray.models.frame_session import FrameSession, device_of
-from stillray.models.precision import chosen
+from stillray.models.precision import chosen, quickest
 from stillray.models.registry import (
     ModelInfo,
     find_frame_model,
@@ -90,6 +90,7 @@ def engine_of_model(
         return FrameSession(model.path, threads=threads, providers=providers)
     steps, path = steps_of(model.family), network or model.path
     if path != model.path:
+        path = quickest(path)
         require_fit(read_checked(path)[1], model.spec, path)
     return Network(path, threads=threads, providers=providers, steps=steps)
 

@@ -21,6 +21,7 @@ from stillray.families.online import OnlineModel
 from stillray.families.registry import family_of
 from stillray.families.temporal_kernels import TemporalKernels
 from stillray.frame import Frame
+from stillray.models.precision import integers_a_float
 from stillray.models.registry import ModelInfo
 from stillray.models.session import open_session
 from stillray.profiling.machine import PeakRates
@@ -92,8 +93,9 @@ def stage_costs(info: ModelInfo, frame: Frame, precision: str = "float32") -> di
     else:
         return {}
     if precision == "int8":
-        # four bytes in a lane of a float
-        network = Cost(operations=network.operations, bytes=network.bytes / 4, lanes=4)
+        # four bytes in a lane of a float, whether or not they are multiplied as fast
+        lanes = integers_a_float()
+        network = Cost(operations=network.operations, bytes=network.bytes / 4, lanes=lanes)
     pixels = height * width
     return {
         "network": network,

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from stillray.models.frame_graph import describe_graph
+from stillray.models.precision import integers_a_float
 from stillray.profiling.measure import REST, TOTAL
 from stillray.profiling.results import Result
 from stillray.profiling.scaling import Curve
@@ -103,7 +104,8 @@ def remarks(result: Result) -> list[str]:
         lines.append(describe_graph(run.info.operators, run.info.size_bytes))
         return lines  # of a graph whose stages are not told apart there is no roofline
     if run.precision == "int8":
-        lines.append("the network computes in integers of 8 bits, four in the place of a float")
+        lanes = integers_a_float()
+        lines.append(f"the network computes in integers of 8 bits, {lanes} in the time of a float")
     lines.append(
         f"roofline: the slower of operations at {peaks.operations / 1e9:.0f} GFLOP/s (matrix "
         f"product) and bytes at {peaks.bandwidth / 1e9:.1f} GB/s (copy), measured here; {REST} is "
