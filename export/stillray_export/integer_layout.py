@@ -7,7 +7,7 @@ Three changes of what ONNX Runtime's quantisation makes, each to the same intege
   instead, which beside each other are two pixels, and a row is copied as a whole.
 - Where there are few planes, two pixels side by side may be taken for one of twice the planes. With
   AVX-512 a matrix product of few columns is slow: one of twice the columns, half of whose weights
-  are 0, takes three quarters of its time; with AVX2 a quarter to a half more. In memory the two are the
+  are 0, takes three quarters of its time; with AVX2 up to a half more. In memory the two are the
   same.
 - Logits stay integers: who looks them up needs a table of 256 weights, no exponential.
 """
