@@ -5,9 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from stillray.arrays.strips import planes_of
+from stillray.arrays.strips import Strips, planes_of
+from stillray.stages import previous_output
 from stillray.stages.repair import MAX_MOTION
-from stillray.stages.reproject import PreviousFrame, mark_discontinuities, pack, reproject
+from stillray.stages.reproject import (
+    Edges,
+    PreviousFrame,
+    mark_discontinuities,
+    pack,
+    reproject,
+)
 from tests import oracles
 from tests.conftest import ODD_SIZES
 
@@ -166,3 +173,79 @@ def test_the_length_of_a_normal_says_nothing_of_its_surface(length):
     # below a quarter in every component a normal points nowhere: all alike, told apart by depth
     expected[..., :3] = (1, 0, 0) if length == 0.3 else expected[..., :3]
     np.testing.assert_allclose(packed, expected, rtol=1e-6)
+
+
+def _output(luminance):
+    return np.dstack([luminance] * 3 + [np.ones_like(luminance)]).astype(np.float32)
+
+
+def _edges(output, spec, contrast=4.0):
+    options = dataclasses.replace(spec.temporal, sharp_contrast=contrast)
+    return Edges.of(output, options, Strips(1))
+
+
+def _look(history, motion, spec, edges):
+    rows = slice(0, history.shape[0])
+    previous = PreviousFrame(history, None, None, edges)
+    return reproject(previous, None, _positions(motion, rows), rows, spec.temporal).copy()
+
+
+def test_light_is_looked_up_as_sharply_as_the_output_where_that_has_an_edge(spec, rng):
+    size = 33, 41
+    window = np.zeros(size)
+    window[:, 12:14] = window[:, 25:] = 1
+    output = _output(0.1 + 60 * window)
+    history = rng.lognormal(0, 1, (*size, 4)).astype(np.float32) * (0.1 + 60 * window[..., None])
+    history = history.astype(np.float32)
+    motion = np.zeros((*size, 2), np.float32)
+    motion[..., 0] = 0.3
+    motion[..., 1] = -0.2
+    spec = _blurring(spec, 0.0)
+    plain, sharp = (_look(history, motion, spec, edges) for edges in (None, _edges(output, spec)))
+    recalled = [
+        previous_output.resample(output, _positions(motion, slice(0, 33)), Strips(1), sharp=found)
+        for found in (False, True)
+    ]
+    inner = slice(2, -2), slice(2, -2)
+    factor = (recalled[1] / recalled[0])[..., :1][inner]
+    np.testing.assert_allclose(sharp[inner][..., :3], plain[inner][..., :3] * factor, rtol=1e-4)
+    np.testing.assert_array_equal(sharp[..., 3], plain[..., 3])
+    assert factor.min() < 0.95
+    assert (factor == 1).mean() > 0.5  # away from edges
+
+
+def test_noise_alone_sharpens_nothing(spec, rng):
+    size = 24, 31
+    history = rng.lognormal(0, 2, (*size, 4)).astype(np.float32)
+    motion = rng.normal(size=(*size, 2)).astype(np.float32)
+    even = _output(rng.uniform(1, 3.9, size))
+    found = _look(history, motion, spec, _edges(even, spec))
+    np.testing.assert_array_equal(found, _look(history, motion, spec, None))
+
+
+def test_pixels_with_a_tap_of_another_surface_or_outside_are_left_as_they_are(spec, rng):
+    size = 20, 26
+    history, *guides, _ = _scene(size, 3)
+    motion = rng.normal(size=(*size, 2)).astype(np.float32) * 3
+    before = _guides(*guides[:2])
+    mask = np.zeros((21, 27), np.uint8)
+    mark_discontinuities(before, slice(0, 20), mask)
+    edges = _edges(_output(rng.lognormal(0, 3, size)), spec)
+    now, rows = planes_of(_guides(*guides[2:])), slice(0, 20)
+    found = []
+    for each in (None, edges):
+        previous = PreviousFrame(history, before, mask, each)
+        at = _positions(motion, rows)
+        found.append(reproject(previous, now, at, rows, spec.temporal).copy())
+    corner = np.floor(_positions(motion, rows)).astype(int) + 1
+    inside = ((corner >= 0) & (corner <= [26, 20])).all(axis=-1)
+    apart = ~inside
+    apart[inside] = mask[corner[inside][:, 1], corner[inside][:, 0]] > 0
+    np.testing.assert_array_equal(found[1][apart], found[0][apart])
+    assert (found[1] != found[0]).any()
+
+
+@pytest.mark.parametrize("contrast", [0.0, 4.0])
+def test_edges_are_asked_for_by_models_with_an_output(contrast, spec):
+    assert (_edges(_output(np.ones((3, 4))), spec, contrast) is None) == (contrast == 0)
+    assert _edges(None, spec) is None

@@ -286,7 +286,8 @@ class FrameGraph(nn.Module):
         spec, counts = self.spec, frame.counts
         light, exposure = exposed
         places = grid(motion) + motion
-        held = reproject(past.mean, past.guides, guides, places, spec.temporal) * frame.moves
+        held = reproject(past.mean, past.guides, guides, places, spec.temporal, past.output)
+        held = held * frame.moves
         held = torch.cat([held[:, :3], held[:, 3:] * counts.past_scale / counts.share], 1)
         local = local_luminance(tone_map(light, exposure), spec.transfer.local_size)
         weight = sample_weight(light, local, held[:, 3:], exposure, spec.temporal)

@@ -33,16 +33,38 @@ def recall(output_nhwc: Tensor, places: Tensor, *, sharp: bool) -> tuple[Tensor,
     taken = mean_of(taps, pixels, zeros=True)
     taken = taken / torch.where(valid < _WHOLE, valid.clamp(min=_LEAST_VALID), 1.0)
     if sharp:
-        light = luminance(output_nhwc.permute(2, 0, 1)[None]).flatten()[:, None]
-        four = [tap.of(light) for tap in taps]
-        most = torch.maximum(torch.maximum(four[0], four[1]), torch.maximum(four[2], four[3]))
-        least = torch.minimum(torch.minimum(four[0], four[1]), torch.minimum(four[2], four[3]))
-        cubic = mean_of(cubic_taps(places, places), light, zeros=False)
-        cubic = torch.minimum(torch.maximum(cubic, least), most).clamp(min=_DARK)
-        linear = luminance(taken[None].permute(0, 2, 1)[..., None])[0, 0]
-        factor = (cubic / linear.clamp(min=_DARK)).clamp(max=_MOST)
+        factor, _ = sharpness(output_nhwc, places)
         taken = taken * torch.where(valid < _WHOLE, 1.0, factor)
     return planes_like(taken, places), planes_like(valid, places)
+
+
+def sharpness(output_nhwc: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
+    """What makes linear interpolation as sharp as cubic convolution, and what it is among.
+
+    Parameters
+    ----------
+    output_nhwc : (h, w, 3)
+        The last output.
+    places : (1, 2, h, w)
+        Where it is looked at, x and y in pixels.
+
+    Returns
+    -------
+    factor : (h w, 1)
+        See `stillray.stages.sharpening.Sharpening.factor`.
+    contrast : (h w, 1)
+        The brightest of the four pixels around over the darkest.
+    """
+    light = luminance(output_nhwc.permute(2, 0, 1)[None]).flatten()[:, None]
+    taps = linear_taps(places, places)
+    four = [tap.of(light) for tap in taps]
+    most = torch.maximum(torch.maximum(four[0], four[1]), torch.maximum(four[2], four[3]))
+    least = torch.minimum(torch.minimum(four[0], four[1]), torch.minimum(four[2], four[3]))
+    cubic = mean_of(cubic_taps(places, places), light, zeros=False)
+    cubic = torch.minimum(torch.maximum(cubic, least), most).clamp(min=_DARK)
+    linear = mean_of(taps, light, zeros=False)
+    factor = (cubic / linear.clamp(min=_DARK)).clamp(max=_MOST)
+    return factor, most / least.clamp(min=_DARK)
 
 
 def forget_uncovered(

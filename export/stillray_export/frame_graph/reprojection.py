@@ -16,6 +16,7 @@ from stillray_export.frame_graph.lookup import (
     pixels_of,
     planes_like,
 )
+from stillray_export.frame_graph.recall import sharpness
 
 _EMPTY_DEPTH = -100.0
 _NO_NORMAL = 0.25
@@ -49,7 +50,12 @@ def guide_planes(normal_nchw: Tensor, depth_nchw: Tensor) -> Tensor:
 
 
 def reproject(
-    past_nhwc: Tensor, before_nhwc: Tensor, now_nchw: Tensor, places: Tensor, options: Temporal
+    past_nhwc: Tensor,
+    before_nhwc: Tensor,
+    now_nchw: Tensor,
+    places: Tensor,
+    options: Temporal,
+    output_nhwc: Tensor,
 ) -> Tensor:
     """Bring the history to the current pixels, see `stillray.stages.reproject.reproject`.
 
@@ -63,6 +69,8 @@ def reproject(
         Guides of this one.
     places : (1, 2, h, w)
         Where each pixel was, x and y in pixels.
+    output_nhwc : (h, w, 3)
+        The last output.
 
     Returns
     -------
@@ -94,6 +102,10 @@ def reproject(
         samples = torch.minimum(samples, options.most_blur / pixels_of(_blur(places)))
     # shares of a smooth surface add up to 1
     irradiance = total[:, :3] / torch.where(smooth, 1.0, accepted)
+    if options.sharp_contrast:
+        factor, contrast = sharpness(output_nhwc, places)
+        edge = smooth & (contrast > options.sharp_contrast)
+        irradiance = irradiance * torch.where(edge, factor, 1.0)
     return planes_like(torch.cat([irradiance, samples], 1), now_nchw)
 
 

@@ -275,7 +275,9 @@ class FilteredLayers:
             mask = discontinuities(before, strips, Workspace())
 
         def accumulated(mean: np.ndarray, light: np.ndarray) -> np.ndarray:
-            result, previous = np.empty_like(mean), rep.PreviousFrame(mean, before, mask)
+            # of the color's output: layers add up only if they are sharpened as it is
+            edges = rep.Edges.of(past.output, options, strips)
+            result, previous = np.empty_like(mean), rep.PreviousFrame(mean, before, mask, edges)
 
             def work(rows: slice) -> None:
                 workspace = strips.workspace

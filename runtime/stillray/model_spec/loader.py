@@ -156,6 +156,10 @@ class Temporal:
     # Square pixels by which looking between pixels may blur a past, >= 0: it counts as no more
     # samples than that over what one look blurs; 0: as ``max_samples`` alone. Younger, too.
     most_blur: float = 0.0
+    # How many times the darkest of four pixels of the last output the brightest must be for a look
+    # at accumulated light between them to be made as sharp as one at that output, >= 1; 0: none is.
+    # Younger, too.
+    sharp_contrast: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -617,6 +621,7 @@ class ModelSpec:
         _within("temporal.depth_ratio", self.temporal.depth_ratio, 1e-6, 1e6)
         _within("temporal.outlier_deviations", self.temporal.outlier_deviations, 0, 100)
         _within("temporal.most_blur", self.temporal.most_blur, 0, 1e6)
+        _within("temporal.sharp_contrast", self.temporal.sharp_contrast or 1.0, 1, 1e6)
         _within("relief.window", self.relief.window, 0, 1e3)
 
     def to_json(self) -> str:

@@ -183,6 +183,7 @@ class _Pixels:
             self._reprojected = room("reprojected", 4)
         self.positions: np.ndarray | None = None
         self._discontinuous: np.ndarray | None = None
+        self._edges: rep.Edges | None = None
         if moved is not None and buffers.motion is not None:
             with timed(means.timings, "reproject"):
                 means.strips.watch.look()
@@ -192,6 +193,7 @@ class _Pixels:
                         self._discontinuous = discontinuities(
                             moved.surface_guides, means.strips, workspace
                         )
+                    self._edges = rep.Edges.of(moved.output, means.spec.temporal, means.strips)
 
     def run(self) -> None:
         """Fill the arrays."""
@@ -296,7 +298,9 @@ class _Pixels:
             at = rep.positions_of(motion[rows], rows, self.positions[rows])
         # many a camera stands still, and only things move
         follows = at if motion[rows].any() else None
-        previous = rep.PreviousFrame(past.mean, past.surface_guides, self._discontinuous)
+        previous = rep.PreviousFrame(
+            past.mean, past.surface_guides, self._discontinuous, self._edges
+        )
         options = self._means.spec.temporal
         warped = rep.reproject(previous, now, follows, rows, options, workspace)
         if at is not None and self.follows_picture and self._buffers.depth is not None:

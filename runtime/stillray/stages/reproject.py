@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 
 from stillray.arrays.bounds import at_least
-from stillray.arrays.strips import interleave, pixels_of, planes_of
+from stillray.arrays.strips import Strips, interleave, pixels_of, planes_of
 from stillray.arrays.workspace import Workspace
 from stillray.model_spec.loader import Temporal
+from stillray.stages.sharpening import Sharpening
 
 # A 2x2 block of the previous frame is one smooth surface when its normals' components and its
 # depth's logarithm span no more than this: then its four taps are accepted or refused together.
@@ -157,6 +158,30 @@ def positions_of(motion: np.ndarray, rows: slice, out: np.ndarray | None = None)
 
 
 @dataclass(frozen=True, eq=False)
+class Edges:
+    """Where an output has edges, and how sharp they are.
+
+    Attributes
+    ----------
+    output
+        The output's luminance.
+    contrasts : (H, W) uint8
+        From its `Sharpening.contrasts`.
+    """
+
+    output: Sharpening
+    contrasts: np.ndarray
+
+    @classmethod
+    def of(cls, output: np.ndarray | None, options: Temporal, strips: Strips) -> Edges | None:
+        """Of an output ``(H, W, 4)``; None without one, or where models do not ask for them."""
+        if output is None or not options.sharp_contrast:
+            return None
+        light = Sharpening(output, strips)
+        return cls(light, light.contrasts(options.sharp_contrast))
+
+
+@dataclass(frozen=True, eq=False)
 class PreviousFrame:
     """What is remembered of the previous frame, whole.
 
@@ -168,11 +193,14 @@ class PreviousFrame:
         See `pack`; None where it had none.
     discontinuities : (H + 1, w + 1) uint8 or None
         Their `mark_discontinuities`; not needed where nothing moves.
+    edges
+        Those of its output, by which looks at the light are sharpened; None: they are not.
     """
 
     light: np.ndarray
     surface_guides: np.ndarray | None = None
     discontinuities: np.ndarray | None = None
+    edges: Edges | None = None
 
 
 def reproject(
@@ -196,6 +224,10 @@ def reproject(
     f)`` square pixels in each direction. What is held for ``n`` frames has been looked at ``n``
     times, and light of a bright window has come into the bars before it; so with ``most_blur`` no
     pixel claims more samples than that over the blur of this look (docs/decisions.md).
+
+    With ``sharp_contrast`` a look at one surface where the last output has an edge of that contrast
+    is made as sharp as a look at that output by cubic convolution: a mean of four, frame after
+    frame, would bring a window's light into the bars before it.
 
     Most pixels look back at one smooth surface, where the four taps share their fate and one
     interpolation answers for them all; only the others are taken apart.
@@ -240,6 +272,8 @@ def reproject(
         pixels_of(taken)[np.flatnonzero(~same)] = 0
     if positions is None:
         return taken
+    if previous.edges is not None:
+        previous.edges.output.sharpen(taken, positions, previous.edges.contrasts, workspace)
     corner = np.floor(positions, out=workspace.array("corner", positions.shape))
     if previous.discontinuities is None:
         left, top = corner[..., 0], corner[..., 1]

@@ -230,9 +230,9 @@ def test_guides_without_some_of_the_geometry_tell_the_same_pixels_apart(given):
 
 
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("most_blur", [0.0, 1.5])
-def test_history_is_brought_here_tap_by_tap(size, most_blur):
-    options = replace(SPEC.temporal, most_blur=most_blur)
+@pytest.mark.parametrize(("most_blur", "contrast"), [(0.0, 0.0), (1.5, 4.0)])
+def test_history_is_brought_here_tap_by_tap(size, most_blur, contrast):
+    options = replace(SPEC.temporal, most_blur=most_blur, sharp_contrast=contrast)
     now, before = (sequence(2, *size, broken=False)[i] for i in (1, 0))
     rng = np.random.default_rng(5)
     history = rng.lognormal(0, 2, (*size, 4)).astype(np.float32)
@@ -243,7 +243,9 @@ def test_history_is_brought_here_tap_by_tap(size, most_blur):
     at = runtime_reproject.positions_of(motion, rows)
     discontinuous = np.zeros((size[0] + 1, size[1] + 1), np.uint8)
     runtime_reproject.mark_discontinuities(past_guides, rows, discontinuous)
-    previous = runtime_reproject.PreviousFrame(history, past_guides, discontinuous)
+    output = rng.lognormal(0, 2, (*size, 4)).astype(np.float32)
+    edges = runtime_reproject.Edges.of(output, options, Strips(1))
+    previous = runtime_reproject.PreviousFrame(history, past_guides, discontinuous, edges)
     wanted = runtime_reproject.reproject(previous, guides.transpose(2, 0, 1), at, rows, options)
     got = reprojection.reproject(
         torch.from_numpy(history),
@@ -251,6 +253,7 @@ def test_history_is_brought_here_tap_by_tap(size, most_blur):
         planes(guides),
         planes(at),
         options,
+        torch.from_numpy(output[..., :3]),
     )
     np.testing.assert_allclose(image(got), wanted, rtol=1e-3, atol=1e-5)
 
