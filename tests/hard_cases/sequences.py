@@ -322,7 +322,6 @@ _LIGHT_SPREADS = (
     "bars 2 pixels wide before a window of 60 times their light, moving 0.4 pixels a frame",
     "light of the bars, 16 frames from the 24th on / of each frame alone",
     2.0,
-    kpyr_5s=_LIGHT_SPREADS,
     nbg_7x3=_LIGHT_SPREADS,
     wskp_6=_LIGHT_SPREADS,
     wskp_mr=_LIGHT_SPREADS,
