@@ -249,3 +249,15 @@ def test_pixels_with_a_tap_of_another_surface_or_outside_are_left_as_they_are(sp
 def test_edges_are_asked_for_by_models_with_an_output(contrast, spec):
     assert (_edges(_output(np.ones((3, 4))), spec, contrast) is None) == (contrast == 0)
     assert _edges(None, spec) is None
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_brightest_outputs_and_black_ones_are_no_edges_of_their_own(spec, rng):
+    size = 9, 11
+    history = rng.random((*size, 4)).astype(np.float32)
+    motion = np.full((*size, 2), 0.4, np.float32)
+    plain = _look(history, motion, spec, None)
+    for level in (0.0, 1e-40, 3e38):
+        output = _output(np.full(size, level))
+        found = _look(history, motion, spec, _edges(output, spec))
+        np.testing.assert_array_equal(found, plain)

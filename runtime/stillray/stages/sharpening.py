@@ -111,7 +111,8 @@ class Sharpening:
 
         def work(rows: slice) -> None:
             least = self._strips.workspace.array("scaled", self._least[rows].shape)
-            np.multiply(self._least[rows], np.float32(ratio), out=least)
+            with np.errstate(over="ignore"):  # nothing is brighter than infinity
+                np.multiply(self._least[rows], np.float32(ratio), out=least)
             np.greater(self._most[rows], least, out=found[rows].view(bool))
 
         self._strips.run(work, *found.shape)
