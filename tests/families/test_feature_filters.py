@@ -33,6 +33,7 @@ BOTH = ["munet-x2", "munet-x1"]
 def info(name, *, sharp=True, **temporal):
     spec = load(name)
     decoder = replace(spec.decoder, sharp_recall=sharp)
+    temporal = {"sharp_contrast": 4.0 if sharp else 0.0, **temporal}
     spec = replace(spec, temporal=replace(spec.temporal, **temporal), decoder=decoder)
     outputs = tuple(Planes(count, part) for count, part in network_outputs(spec))
     return ModelInfo(
@@ -231,7 +232,8 @@ def test_a_past_is_worth_no_more_samples_than_looks_have_blurred(rng, most_blur)
     full = [rng.uniform(0, 30, (*grid.shape, 4)).astype(np.float32) for _ in range(4)]
     before = Remembered(Accumulated(*full[:3]), full[3], 1.0)
     rules = replace(FeatureFiltersModel(load("munet-x1")).rules, most_blur=most_blur)
-    rules = replace(rules, filters=replace(rules.filters, sharp_recall=False))
+    filters = replace(rules.filters, sharp_recall=False)
+    rules = replace(rules, filters=filters, sharp_contrast=0.0)
     found = warped(before, grid, motion, rules, Strips(1), Workspace())
     positions, inside = grid.past_positions(motion, slice(0, grid.full[0]))
     kept = found.accumulated
@@ -267,8 +269,28 @@ def test_an_edge_that_moves_frame_after_frame_stays_sharp():
         line = picture[4, :, 0]
         widths[sharp] = int(((line > 0.05) & (line < 0.95)).sum())
         apart = np.abs(found.output - found.accumulated.albedo)[..., :3].max()
-        assert (apart > 0.02) == sharp  # the last output alone is sharpened
+        assert (apart > 0.02) == sharp  # the albedo is not sharpened
     assert widths[True] <= 3 < 2 * widths[True] < widths[False]
+
+
+def test_light_is_looked_up_as_sharply_as_the_picture_where_that_has_an_edge(rng):
+    grid, even = Grid.of((8, 64), 1, 8, None), np.ones((8, 64, 4), np.float32)
+    motion = np.zeros((8, 64, 2), np.float32)
+    motion[..., 0] = -0.3
+    light = rng.uniform(1, 2, (8, 64, 4)).astype(np.float32)
+    picture, found = even.copy(), {}
+    picture[:, :20, :3] = 0.1
+    picture[:, 40:, :3] = 3  # not four times as bright
+    light[:, :20, :3] /= 10
+    for contrast in (0.0, 4.0):
+        rules = FeatureFiltersModel(info("munet-x1", sharp_contrast=contrast).spec).rules
+        before = Remembered(Accumulated(light, even, even), picture, 1.0)
+        found[contrast] = warped(before, grid, motion, rules, Strips(1), Workspace()).accumulated
+    factor = found[4.0].light[..., :3] / found[0.0].light[..., :3]
+    places = np.flatnonzero(np.abs(factor[4, :, 0] - 1) > 1e-3)
+    assert places.tolist() == [20]
+    np.testing.assert_array_equal(found[4.0].albedo, found[0.0].albedo)
+    np.testing.assert_array_equal(found[4.0].light[..., 3], found[0.0].light[..., 3])
 
 
 def test_past_positions_are_those_of_the_picture():

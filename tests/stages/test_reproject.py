@@ -179,9 +179,8 @@ def _output(luminance):
     return np.dstack([luminance] * 3 + [np.ones_like(luminance)]).astype(np.float32)
 
 
-def _edges(output, spec, contrast=4.0):
-    options = dataclasses.replace(spec.temporal, sharp_contrast=contrast)
-    return Edges.of(output, options, Strips(1))
+def _edges(output, contrast=4.0):
+    return Edges.of(output, contrast, Strips(1))
 
 
 def _look(history, motion, spec, edges):
@@ -201,7 +200,7 @@ def test_light_is_looked_up_as_sharply_as_the_output_where_that_has_an_edge(spec
     motion[..., 0] = 0.3
     motion[..., 1] = -0.2
     spec = _blurring(spec, 0.0)
-    plain, sharp = (_look(history, motion, spec, edges) for edges in (None, _edges(output, spec)))
+    plain, sharp = (_look(history, motion, spec, edges) for edges in (None, _edges(output)))
     recalled = [
         previous_output.resample(output, _positions(motion, slice(0, 33)), Strips(1), sharp=found)
         for found in (False, True)
@@ -219,7 +218,7 @@ def test_noise_alone_sharpens_nothing(spec, rng):
     history = rng.lognormal(0, 2, (*size, 4)).astype(np.float32)
     motion = rng.normal(size=(*size, 2)).astype(np.float32)
     even = _output(rng.uniform(1, 3.9, size))
-    found = _look(history, motion, spec, _edges(even, spec))
+    found = _look(history, motion, spec, _edges(even))
     np.testing.assert_array_equal(found, _look(history, motion, spec, None))
 
 
@@ -230,7 +229,7 @@ def test_pixels_with_a_tap_of_another_surface_or_outside_are_left_as_they_are(sp
     before = _guides(*guides[:2])
     mask = np.zeros((21, 27), np.uint8)
     mark_discontinuities(before, slice(0, 20), mask)
-    edges = _edges(_output(rng.lognormal(0, 3, size)), spec)
+    edges = _edges(_output(rng.lognormal(0, 3, size)))
     now, rows = planes_of(_guides(*guides[2:])), slice(0, 20)
     found = []
     for each in (None, edges):
@@ -246,9 +245,9 @@ def test_pixels_with_a_tap_of_another_surface_or_outside_are_left_as_they_are(sp
 
 
 @pytest.mark.parametrize("contrast", [0.0, 4.0])
-def test_edges_are_asked_for_by_models_with_an_output(contrast, spec):
-    assert (_edges(_output(np.ones((3, 4))), spec, contrast) is None) == (contrast == 0)
-    assert _edges(None, spec) is None
+def test_edges_are_asked_for_by_models_with_an_output(contrast):
+    assert (_edges(_output(np.ones((3, 4))), contrast) is None) == (contrast == 0)
+    assert _edges(None) is None
 
 
 @pytest.mark.filterwarnings("error")
@@ -259,5 +258,5 @@ def test_the_brightest_outputs_and_black_ones_are_no_edges_of_their_own(spec, rn
     plain = _look(history, motion, spec, None)
     for level in (0.0, 1e-40, 3e38):
         output = _output(np.full(size, level))
-        found = _look(history, motion, spec, _edges(output, spec))
+        found = _look(history, motion, spec, _edges(output))
         np.testing.assert_array_equal(found, plain)

@@ -34,7 +34,7 @@ from stillray.stages import features, lamps
 from stillray.stages.accumulate import bounded
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.repair import Buffers, all_within, repair_feature
-from stillray.stages.reproject import bound_blur
+from stillray.stages.reproject import Edges, bound_blur
 from stillray.stages.sharpening import Sharpening, scale
 from stillray.timing import timed
 
@@ -129,6 +129,7 @@ class FeatureFiltersModel:
             demodulate=spec.demodulate,
             max_samples=spec.temporal.max_samples,
             most_blur=spec.temporal.most_blur,
+            sharp_contrast=spec.temporal.sharp_contrast,
         )
         self.cost = feature_filters_cost(spec.network.resolutions, spec.decoder)
         self.traits = Traits(
@@ -372,6 +373,7 @@ def warped(
     means = (kept.light, kept.albedo, kept.specular)
     room = [workspace.array(f"past {index}", (*grid.full, 4)) for index in range(4)]
     sharp = Sharpening(before.output, strips) if rules.filters.sharp_recall else None
+    edges = Edges.of(before.output, rules.sharp_contrast, strips)
 
     def work(rows: slice) -> None:
         positions, inside = grid.past_positions(motion, rows)
@@ -380,6 +382,8 @@ def warped(
         if sharp is not None:
             output = room[3][rows]
             scale(output, sharp.factor(positions, output, None, strips.workspace), strips.workspace)
+        if edges is not None:
+            edges.sharpen(room[0][rows], positions, strips.workspace)
         outside = np.flatnonzero(~inside)
         for image in room:
             pixels_of(image[rows])[outside] = 0

@@ -109,12 +109,16 @@ class Rules:
     most_blur
         Square pixels of the picture that a past may be blurred by looking between its pixels, see
         `stillray.stages.reproject.bound_blur`; 0: by any number.
+    sharp_contrast
+        Of the last output's edges, at which accumulated light is looked up as sharply as it, see
+        `stillray.stages.reproject.Edges`; 0: nowhere.
     """
 
     filters: FeatureFilters
     demodulate: Demodulate
     max_samples: float
     most_blur: float = 0.0
+    sharp_contrast: float = 0.0
 
 
 def reconstruct(

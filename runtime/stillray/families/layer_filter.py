@@ -276,7 +276,7 @@ class FilteredLayers:
 
         def accumulated(mean: np.ndarray, light: np.ndarray) -> np.ndarray:
             # of the color's output: layers add up only if they are sharpened as it is
-            edges = rep.Edges.of(past.output, options, strips)
+            edges = rep.Edges.of(past.output, options.sharp_contrast, strips)
             result, previous = np.empty_like(mean), rep.PreviousFrame(mean, before, mask, edges)
 
             def work(rows: slice) -> None:

@@ -193,7 +193,9 @@ class _Pixels:
                         self._discontinuous = discontinuities(
                             moved.surface_guides, means.strips, workspace
                         )
-                    self._edges = rep.Edges.of(moved.output, means.spec.temporal, means.strips)
+                    self._edges = rep.Edges.of(
+                        moved.output, means.spec.temporal.sharp_contrast, means.strips
+                    )
 
     def run(self) -> None:
         """Fill the arrays."""

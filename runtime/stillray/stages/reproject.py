@@ -173,12 +173,16 @@ class Edges:
     contrasts: np.ndarray
 
     @classmethod
-    def of(cls, output: np.ndarray | None, options: Temporal, strips: Strips) -> Edges | None:
-        """Of an output ``(H, W, 4)``; None without one, or where models do not ask for them."""
-        if output is None or not options.sharp_contrast:
+    def of(cls, output: np.ndarray | None, contrast: float, strips: Strips) -> Edges | None:
+        """Of an output ``(H, W, 4)``; None without one, or where the contrast asked for is 0."""
+        if output is None or not contrast:
             return None
         light = Sharpening(output, strips)
-        return cls(light, light.contrasts(options.sharp_contrast))
+        return cls(light, light.contrasts(contrast))
+
+    def sharpen(self, taken: np.ndarray, positions: np.ndarray, workspace: Workspace) -> None:
+        """See `Sharpening.sharpen`."""
+        self.output.sharpen(taken, positions, self.contrasts, workspace)
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +277,7 @@ def reproject(
     if positions is None:
         return taken
     if previous.edges is not None:
-        previous.edges.output.sharpen(taken, positions, previous.edges.contrasts, workspace)
+        previous.edges.sharpen(taken, positions, workspace)
     corner = np.floor(positions, out=workspace.array("corner", positions.shape))
     if previous.discontinuities is None:
         left, top = corner[..., 0], corner[..., 1]

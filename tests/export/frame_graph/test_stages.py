@@ -244,7 +244,7 @@ def test_history_is_brought_here_tap_by_tap(size, most_blur, contrast):
     discontinuous = np.zeros((size[0] + 1, size[1] + 1), np.uint8)
     runtime_reproject.mark_discontinuities(past_guides, rows, discontinuous)
     output = rng.lognormal(0, 2, (*size, 4)).astype(np.float32)
-    edges = runtime_reproject.Edges.of(output, options, Strips(1))
+    edges = runtime_reproject.Edges.of(output, contrast, Strips(1))
     previous = runtime_reproject.PreviousFrame(history, past_guides, discontinuous, edges)
     wanted = runtime_reproject.reproject(previous, guides.transpose(2, 0, 1), at, rows, options)
     got = reprojection.reproject(

@@ -51,9 +51,13 @@ def step(
     if before is not None:
         images = (before.light, before.albedo, before.specular, before.output)
         moved = warped(torch.cat(images, 1), frame["positions"])
+        factor, contrast = sharpness(before.output, frame["positions"])
+        light, others, output, depth = moved.split([3, 9, 3, 1], 1)
         if rules.filters.sharp_recall:
-            output = sharply(before.output, frame["positions"])
-            moved = torch.cat([moved[:, :-4], output], 1)
+            output = output * factor
+        if rules.sharp_contrast:
+            light = torch.where(contrast > rules.sharp_contrast, light * factor, light)
+        moved = torch.cat([light, others, output, depth], 1)
         past = Remembered(*(moved * frame["inside"]).split(4, 1))
         if rules.most_blur:
             most = rules.most_blur / look_blur(frame["positions"])
@@ -78,20 +82,33 @@ def warped(images: Tensor, positions: Tensor, mode: str = "bilinear") -> Tensor:
     return F.grid_sample(images, at, mode=mode, padding_mode="border", align_corners=True)
 
 
-def sharply(images: Tensor, positions: Tensor) -> Tensor:
-    """As `warped`, the first three channels with the luminance of limited cubic convolution.
+def sharpness(images: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:
+    """What makes `warped` as sharp as limited cubic convolution, and the contrast that it is among.
 
-    See `stillray.stages.sharpening`; its factor is that of OpenCV and of torch.
+    See `stillray.stages.sharpening`; cubic convolution has the factor of OpenCV and of torch.
+
+    Parameters
+    ----------
+    images : (n, 3 or more, h, w)
+        Radiance first.
+    positions : (n, h, w, 2)
+        Within them, pixels.
+
+    Returns
+    -------
+    factor : (n, 1, h, w)
+    contrast : (n, 1, h, w)
+        The brightest of the four pixels around over the darkest.
     """
-    soft, light = warped(images, positions), _luminance(images)
+    light = _luminance(images)
     around = F.pad(light, (0, 1, 0, 1), mode="replicate")
     most, least = F.max_pool2d(around, 2, 1), -F.max_pool2d(-around, 2, 1)
     # of one channel OpenCV's places are 1/32 pixel apart
     cubic = warped(light, (32 * positions).round() / 32, "bicubic")
     corner = positions.floor()
-    limits = (warped(limit, corner, "nearest") for limit in (least, most))
-    sharp = torch.clamp(cubic, *limits) / _luminance(soft).clamp(min=1e-30)
-    return torch.cat([soft[:, :3] * sharp, soft[:, 3:]], 1)
+    least, most = (warped(limit, corner, "nearest") for limit in (least, most))
+    factor = torch.clamp(cubic, least, most) / warped(light, positions).clamp(min=1e-30)
+    return factor, most / least.clamp(min=1e-30)
 
 
 def _luminance(images: Tensor) -> Tensor:
