@@ -189,13 +189,13 @@ class _Pixels:
                 means.strips.watch.look()
                 if buffers.motion.any():
                     self.positions = workspace.array("positions", buffers.motion.shape)
+                    self._edges = rep.Edges.of(
+                        moved.output, means.spec.temporal.sharp_contrast, means.strips
+                    )
                     if self.surface_guides is not None and moved.surface_guides is not None:
                         self._discontinuous = discontinuities(
                             moved.surface_guides, means.strips, workspace
                         )
-                    self._edges = rep.Edges.of(
-                        moved.output, means.spec.temporal.sharp_contrast, means.strips
-                    )
 
     def run(self) -> None:
         """Fill the arrays."""
