@@ -355,3 +355,25 @@ def test_edges_are_smoothed_over_frames_as_supersampling_would(online):
     assert 0.25 < edge < 0.75
     assert image[:, 5].mean() == pytest.approx(0.9, rel=0.05)
     assert image[:, 9].mean() == pytest.approx(0.1, rel=0.05)
+
+
+def before_a_window(place):
+    """A dark wall beside a bright window, without noise, as many pixels further on."""
+    at = np.arange(40)[None, :, None] - place
+    wall = np.clip(at - 12, 0, 1)  # the pixel that the edge lies in is mixed
+    color = np.broadcast_to(60 - 59.9 * wall, (20, 40, 3)).astype(np.float32)
+    motion = np.zeros((20, 40, 2), np.float32)
+    motion[..., 0] = -0.3
+    return stillray.Frame(color=color, color_b=color, motion=motion)
+
+
+def test_light_stays_out_of_what_is_before_a_window(online, tmp_path):
+    """Looks between pixels, frame after frame, would bring it there, in either half alike."""
+    for number in range(16):
+        image = online.denoise(before_a_window(0.3 * number))
+    online.save(tmp_path / "past.npz")
+    held = np.load(tmp_path / "past.npz")
+    np.testing.assert_array_equal(held["mean_a"], held["mean_b"])
+    # two pixels from the edge; looked up bilinearly alone it would hold .9
+    assert held["mean_a"][4:-4, 19, :3].max() < 0.25
+    assert image[4:-4, 19].max() < 0.25

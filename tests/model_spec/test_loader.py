@@ -65,6 +65,7 @@ def test_every_missing_key_is_named(data):
                 "outlier_deviations",
                 "most_blur",
                 "sharp_contrast",
+                "edge_blur",
             }:
                 continue
             broken = copy.deepcopy(data)
@@ -91,6 +92,20 @@ def test_every_missing_key_is_named(data):
 )
 def test_a_value_beyond_its_rule_is_named(data, section, key, value, rule):
     data[section][key] = value
+    with pytest.raises(SpecError, match=rule):
+        parse(data)
+
+
+@pytest.mark.parametrize(
+    ("contrast", "blur", "rule"),
+    [
+        (0.0, 0.5, r"temporal.edge_blur must be in \[0, 0\], got 0.5"),
+        (4.0, -0.5, r"temporal.edge_blur must be in \[0, 1e"),
+        (0.5, 0.0, r"temporal.sharp_contrast must be in \[1, 1e"),
+    ],
+)
+def test_a_bound_beside_edges_needs_edges(data, contrast, blur, rule):
+    data["temporal"] |= {"sharp_contrast": contrast, "edge_blur": blur}
     with pytest.raises(SpecError, match=rule):
         parse(data)
 

@@ -213,6 +213,41 @@ def test_light_is_looked_up_as_sharply_as_the_output_where_that_has_an_edge(spec
     assert (factor == 1).mean() > 0.5  # away from edges
 
 
+@pytest.mark.parametrize("most_blur", [0.0, 4.0])
+@pytest.mark.parametrize("size", [*ODD_SIZES, (23, 31)])
+def test_a_past_beside_an_edge_is_worth_no_more_than_looks_have_blurred(spec, rng, size, most_blur):
+    height, width = size
+    light = np.full(size, 0.1)
+    light[height // 3 :, width // 2] = 60
+    history = rng.lognormal(0, 1, (*size, 4)).astype(np.float32)
+    history[..., 3] = 16
+    motion = rng.uniform(-2, 2, (*size, 2)).astype(np.float32)
+    spec = _blurring(spec, most_blur)
+    edges = _edges(_output(light))
+    plain = _look(history, motion, spec, edges)
+    temporal = dataclasses.replace(spec.temporal, sharp_contrast=4.0, edge_blur=0.5)
+    found = _look(history, motion, dataclasses.replace(spec, temporal=temporal), edges)
+    expected = plain.copy()
+    for y, x in np.ndindex(size):
+        at = _positions(motion, slice(0, height))[y, x].astype(float)
+        column, row = np.floor(at).astype(int)
+        if not (0 <= row < height and 0 <= column < width):
+            continue
+        # the 2x2 blocks that begin at this one's corner or a pixel beside it
+        corners = [
+            light[max(top, 0) : top + 2, max(left, 0) : left + 2]
+            for top in range(max(row - 1, 0), min(row + 2, height))
+            for left in range(max(column - 1, 0), min(column + 2, width))
+        ]
+        if any(block.max() > 4 * block.min() for block in corners):
+            share = at - [column, row]
+            blur = max((share * (1 - share)).sum(), 1e-6)
+            expected[y, x, 3] = min(expected[y, x, 3], 0.5 / blur)
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+    if min(size) > 20:
+        assert 0.005 < (found != plain).mean() < 0.2
+
+
 def test_noise_alone_sharpens_nothing(spec, rng):
     size = 24, 31
     history = rng.lognormal(0, 2, (*size, 4)).astype(np.float32)

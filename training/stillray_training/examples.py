@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -311,7 +312,22 @@ def _sample(prepared: Prepared) -> np.ndarray:
     return interleave(prepared.sample, out=np.empty_like(prepared.history.mean))
 
 
-def previous_outputs(sequence: Path, denoiser: Denoiser, strips: Strips) -> dict[int, np.ndarray]:
+class Remembered(NamedTuple):
+    """What a model remembers at the last frame of a sequence, as `Example` has it.
+
+    Attributes
+    ----------
+    mean : (h, w, 4) float32
+        Accumulated light and samples, looked up beside edges of its output as the runtime does.
+    previous : (h, w, 4) float32
+        Radiance of the last output at the pixels of this frame, and how much of it is valid.
+    """
+
+    mean: np.ndarray
+    previous: np.ndarray
+
+
+def remembered(sequence: Path, denoiser: Denoiser, strips: Strips) -> dict[int, Remembered]:
     """What a model, run as users run it, remembers at the last frame of a sequence.
 
     Parameters
@@ -325,14 +341,13 @@ def previous_outputs(sequence: Path, denoiser: Denoiser, strips: Strips) -> dict
 
     Returns
     -------
-    dict of (h, w, 4) arrays
-        By how many frames are accumulated: radiance of the previous output at the pixels of the
-        last frame, and how much of it is valid.
+    dict
+        By how many frames are accumulated.
     """
     spec = denoiser.model.spec
     rendered = read_rendered(sequence, spec.training, with_blocks=False)
     frames = [replace(frame, filter_spread=rendered.spread) for frame in rendered.frames]
-    remembered = {}
+    found = {}
     family = kernels_of(spec)
     for count in STARTS[1:]:  # one frame has no past
         denoiser.reset()
@@ -340,7 +355,7 @@ def previous_outputs(sequence: Path, denoiser: Denoiser, strips: Strips) -> dict
             denoiser.denoise(frame)
         context = Context(strips=strips)
         plan = family.plan(frames[-1], denoiser.state, Request(), context)
-        _, previous = family.prepare(plan, context)
+        prepared, previous = family.prepare(plan, context)
         if previous is not None:
-            remembered[count] = previous
-    return remembered
+            found[count] = Remembered(prepared.history.mean, previous)
+    return found

@@ -19,7 +19,7 @@ from stillray.arrays.strips import Strips
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec
 from stillray.pipeline.denoiser import Denoiser
-from stillray_training.examples import NOISY, Example, load_examples, previous_outputs
+from stillray_training.examples import NOISY, Example, load_examples, remembered
 from stillray_training.families import FAMILIES, Family
 from stillray_training.losses import (
     blur_error,
@@ -139,14 +139,14 @@ def train(
         examples = list(examples) or load_all(data, spec, progress)
         resumed = recipe.history_from and run.step > recipe.history_from
         if resumed and (run.step - recipe.history_from) % recipe.history_every:
-            _refresh_previous_output(examples, sequences, out / PREVIOUS, progress)
+            _refresh_past(examples, sequences, out / PREVIOUS, progress)
         sampler = PatchSampler(examples, spec)
 
         def renew(step: int) -> None:
             since = step - recipe.history_from
             if recipe.history_from and since >= 0 and since % recipe.history_every == 0:
                 _export_for_previous_output(run.average, spec, out / PREVIOUS)
-                _refresh_previous_output(examples, sequences, out / PREVIOUS, progress)
+                _refresh_past(examples, sequences, out / PREVIOUS, progress)
 
         return run.finish(
             lambda step: reconstruct_loss(network, sampler.batch(step), spec, family),
@@ -182,24 +182,24 @@ def _export_for_previous_output(network: nn.Module, spec: ModelSpec, path: Path)
         temporary.write_bytes(network_graph(fuse(network), spec, {}).SerializeToString())
 
 
-def _refresh_previous_output(
+def _refresh_past(
     examples: list[Example], sequences: list[Path], model: Path, progress: Progress
 ) -> None:
-    """Give every example the previous output of a model: one step of a recurrence, unrolled.
+    """Give every example what a model remembers: one step of a recurrence, unrolled.
 
     Gradients stop at the previous output, which grows old until it is renewed; in return the
     recurrence costs nothing a step, and is as long as the sequence.
     """
     once = list(dict.fromkeys(sequences))  # data may be named twice, so that it counts twice
-    task = progress.add_task("previous output", total=len(once))
+    task = progress.add_task("the past", total=len(once))
     places: dict[tuple[str, int], list[int]] = {}
     for index, example in enumerate(examples):
         if example.kind == NOISY:
             places.setdefault((example.sequence, example.frames), []).append(index)
     with Denoiser(model, threads=1) as denoiser:
         for sequence in once:
-            for frames, previous in previous_outputs(sequence, denoiser, Strips(1)).items():
+            for frames, found in remembered(sequence, denoiser, Strips(1)).items():
                 for at in places[sequence.name, frames]:
-                    examples[at] = dataclasses.replace(examples[at], previous=previous)
+                    examples[at] = dataclasses.replace(examples[at], **found._asdict())
             progress.advance(task)
     progress.remove_task(task)

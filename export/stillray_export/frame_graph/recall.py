@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from stillray_export.frame_graph.lookup import cubic_taps, linear_taps, mean_of, planes_like
@@ -65,6 +66,32 @@ def sharpness(output_nhwc: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
     linear = mean_of(taps, light, zeros=False)
     factor = (cubic / linear.clamp(min=_DARK)).clamp(max=_MOST)
     return factor, most / least.clamp(min=_DARK)
+
+
+def near_edges(output_nhwc: Tensor, places: Tensor, contrast: float) -> Tensor:
+    """1 where an output's edges are, see `stillray.stages.reproject.Edges.near`.
+
+    Parameters
+    ----------
+    output_nhwc : (h, w, 3)
+        The last output.
+    places : (1, 2, h, w)
+        Where it is looked at, x and y in pixels.
+    contrast
+        Of an edge: how many times the darkest of four pixels the brightest is.
+
+    Returns
+    -------
+    (h w, 1)
+    """
+    light = luminance(output_nhwc.permute(2, 0, 1)[None])
+    # the last row and column once more
+    light = torch.cat([light, light[:, :, -1:]], 2)
+    light = torch.cat([light, light[..., -1:]], 3)
+    most, least = F.max_pool2d(light, 2, 1), -F.max_pool2d(-light, 2, 1)
+    near = most_around((most > contrast * least).to(torch.float32))
+    corner = linear_taps(places, places)[0]
+    return corner.of(near.flatten()[:, None]) * corner.inside
 
 
 def forget_uncovered(

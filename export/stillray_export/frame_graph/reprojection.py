@@ -16,7 +16,7 @@ from stillray_export.frame_graph.lookup import (
     pixels_of,
     planes_like,
 )
-from stillray_export.frame_graph.recall import sharpness
+from stillray_export.frame_graph.recall import near_edges, sharpness
 
 _EMPTY_DEPTH = -100.0
 _NO_NORMAL = 0.25
@@ -98,7 +98,12 @@ def reproject(
     total = _of(torch.add, [share * pixel for share, pixel in zip(alone, light, strict=True)])
     accepted = _of(torch.add, alone).clamp(min=_TINY)
     samples = total[:, 3:]
-    if options.most_blur:
+    if options.edge_blur:
+        most = options.most_blur or math.inf
+        near = near_edges(output_nhwc, places, options.sharp_contrast) > 0
+        bound = torch.where(near, min(most, options.edge_blur), most)
+        samples = torch.minimum(samples, bound / pixels_of(_blur(places)))
+    elif options.most_blur:
         samples = torch.minimum(samples, options.most_blur / pixels_of(_blur(places)))
     # shares of a smooth surface add up to 1
     irradiance = total[:, :3] / torch.where(smooth, 1.0, accepted)

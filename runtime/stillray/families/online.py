@@ -195,7 +195,8 @@ class OnlineModel:
                     output = previous_output.keep(image, strips)
                     past = Past(
                         first=replace(prepared.history, output=output),
-                        second=other,
+                        # for its edges, which are those of both halves
+                        second=replace(other, output=output),
                         pilot_a=pilot_a,
                         pilot_b=pilot_b,
                     )

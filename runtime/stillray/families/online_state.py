@@ -114,7 +114,7 @@ def _past(arrays: Mapping[str, np.ndarray]) -> Past | None:
             surface_guides=arrays.get("guides"),
             exposure=_joined(arrays[f"exposure_{half}"]),
             noise=_noise(arrays, half),
-            output=arrays["output"] if half == "a" else None,
+            output=arrays["output"],
             mean_albedo=arrays.get("albedo") if half == "a" else None,
             mean_albedo_frames=frames if half == "a" else 0.0,
             frame_samples=_positive(arrays, f"samples_{half}"),

@@ -160,6 +160,9 @@ class Temporal:
     # at accumulated light between them to be made as sharp as one at that output, >= 1; 0: none is.
     # Younger, too.
     sharp_contrast: float = 0.0
+    # As ``most_blur``, where such an edge is among the 4x4 pixels around a look, >= 0; 0: as
+    # ``most_blur`` alone. Younger, too.
+    edge_blur: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -622,6 +625,9 @@ class ModelSpec:
         _within("temporal.outlier_deviations", self.temporal.outlier_deviations, 0, 100)
         _within("temporal.most_blur", self.temporal.most_blur, 0, 1e6)
         _within("temporal.sharp_contrast", self.temporal.sharp_contrast or 1.0, 1, 1e6)
+        # edges are those of some contrast
+        most = 1e6 if self.temporal.sharp_contrast else 0.0
+        _within("temporal.edge_blur", self.temporal.edge_blur, 0, most)
         _within("relief.window", self.relief.window, 0, 1e3)
 
     def to_json(self) -> str:

@@ -23,6 +23,7 @@ _NEAREST, _FARTHEST = np.float32(1e-30), np.float32(1e30)  # unit of depth: fini
 _EMPTY_DEPTH = np.float32(-100)  # "logarithm of the depth" of background: far from all surfaces
 _NO_NORMAL = 0.25  # a normal with no component beyond this points nowhere
 _EVEN_LENGTH = (0.98, 1.02)  # squared length of a normal that is left as it is: rounding of halves
+_AROUND = np.ones((3, 3), np.uint8)
 _TINY = np.float32(1e-12)  # share of a tap: keeps 0/0 out of pixels without a tap
 #: Square pixels of blur below which a look does not count as between pixels.
 LEAST_BLUR = 1e-6
@@ -167,10 +168,13 @@ class Edges:
         The output's luminance.
     contrasts : (H, W) uint8
         From its `Sharpening.contrasts`.
+    near : (H, W) uint8
+        1 where these are within a pixel: a look has one among the 4x4 pixels around it.
     """
 
     output: Sharpening
     contrasts: np.ndarray
+    near: np.ndarray
 
     @classmethod
     def of(cls, output: np.ndarray | None, contrast: float, strips: Strips) -> Edges | None:
@@ -178,11 +182,24 @@ class Edges:
         if output is None or not contrast:
             return None
         light = Sharpening(output, strips)
-        return cls(light, light.contrasts(contrast))
+        contrasts = light.contrasts(contrast)
+        near = strips.workspace.array("near contrasts", contrasts.shape, np.uint8)
+        return cls(light, contrasts, cv2.dilate(contrasts, _AROUND, dst=near))
 
     def sharpen(self, taken: np.ndarray, positions: np.ndarray, workspace: Workspace) -> None:
         """See `Sharpening.sharpen`."""
         self.output.sharpen(taken, positions, self.contrasts, workspace)
+
+    def least(
+        self, everywhere: float, here: float, positions: np.ndarray, workspace: Workspace
+    ) -> np.ndarray:
+        """The least of two numbers near these edges, ``(h, w)`` float32; elsewhere the first."""
+        corner = np.floor(positions, out=workspace.array("corner", positions.shape))
+        border = cv2.BORDER_CONSTANT  # beside the frame there are none
+        near = cv2.remap(self.near, corner, None, cv2.INTER_NEAREST, None, border, 0)
+        numbers = np.array([everywhere, min(everywhere, here)], np.float32)
+        room = workspace.array("number near edges", near.shape)
+        return np.take(numbers, near, out=room, mode="clip")
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +244,8 @@ def reproject(
     A look between pixels blurs: two taps at distances ``f`` and ``1 - f`` spread light by ``f (1 -
     f)`` square pixels in each direction. What is held for ``n`` frames has been looked at ``n``
     times, and light of a bright window has come into the bars before it; so with ``most_blur`` no
-    pixel claims more samples than that over the blur of this look (docs/decisions.md).
+    pixel claims more samples than that over the blur of this look, and with ``edge_blur`` those
+    that have an edge of the last output among the 4x4 pixels around them (docs/decisions.md).
 
     With ``sharp_contrast`` a look at one surface where the last output has an edge of that contrast
     is made as sharp as a look at that output by cubic convolution: a mean of four, frame after
@@ -293,12 +311,18 @@ def reproject(
             history, before, now_listed, positions_listed.view(np.float32).reshape(-1, 2), options
         )
         pixels_of(taken)[at] = pixels_of(listed)
-    if options.most_blur:
+    if options.edge_blur and previous.edges is not None:
+        everywhere = options.most_blur or np.inf
+        most = previous.edges.least(everywhere, options.edge_blur, positions, workspace)
+        bound_blur(taken, positions, most, workspace)
+    elif options.most_blur:
         bound_blur(taken, positions, options.most_blur, workspace)
     return taken
 
 
-def bound_blur(taken: np.ndarray, positions: np.ndarray, most: float, workspace: Workspace) -> None:
+def bound_blur(
+    taken: np.ndarray, positions: np.ndarray, most: float | np.ndarray, workspace: Workspace
+) -> None:
     """Bound samples of ``taken``, ``(h, w, 4)``, by what looking between pixels blurs.
 
     Parameters
@@ -307,7 +331,7 @@ def bound_blur(taken: np.ndarray, positions: np.ndarray, most: float, workspace:
         What was looked up; its last channel, the samples that it is worth, is bounded in place.
     positions : (h, w, 2) float32
         Where, x and y in pixels.
-    most
+    most : or (h, w) float32
         Square pixels, see `reproject`.
     workspace
         For what lies between.
@@ -317,7 +341,7 @@ def bound_blur(taken: np.ndarray, positions: np.ndarray, most: float, workspace:
     share -= np.square(share, out=workspace.array("squared share", share.shape))
     blur = np.add(share[..., 0], share[..., 1], out=workspace.array("blur", share.shape[:2]))
     at_least(blur, LEAST_BLUR, out=blur)
-    np.minimum(taken[..., 3], np.divide(np.float32(most), blur, out=blur), out=taken[..., 3])
+    np.minimum(taken[..., 3], np.divide(most, blur, out=blur), out=taken[..., 3])
 
 
 def _tap_by_tap(

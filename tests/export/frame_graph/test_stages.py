@@ -230,9 +230,14 @@ def test_guides_without_some_of_the_geometry_tell_the_same_pixels_apart(given):
 
 
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize(("most_blur", "contrast"), [(0.0, 0.0), (1.5, 4.0)])
-def test_history_is_brought_here_tap_by_tap(size, most_blur, contrast):
-    options = replace(SPEC.temporal, most_blur=most_blur, sharp_contrast=contrast)
+@pytest.mark.parametrize(
+    ("most_blur", "contrast", "edge_blur"),
+    [(0.0, 0.0, 0.0), (1.5, 4.0, 0.0), (1.5, 4.0, 0.5), (0.0, 4.0, 0.5)],
+)
+def test_history_is_brought_here_tap_by_tap(size, most_blur, contrast, edge_blur):
+    options = replace(
+        SPEC.temporal, most_blur=most_blur, sharp_contrast=contrast, edge_blur=edge_blur
+    )
     now, before = (sequence(2, *size, broken=False)[i] for i in (1, 0))
     rng = np.random.default_rng(5)
     history = rng.lognormal(0, 2, (*size, 4)).astype(np.float32)
