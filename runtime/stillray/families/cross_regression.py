@@ -13,6 +13,7 @@ import numpy as np
 from stillray.arrays.extend import surround
 from stillray.arrays.strips import STRIP_PIXELS, Strips, with_halo
 from stillray.arrays.workspace import Workspace
+from stillray.models.products import products
 
 WINDOW = 17  # pixels, odd (section 3)
 # Pixels from center to center. differs: one pixel in 16 (section 3); one in 49 takes a third of the
@@ -293,8 +294,8 @@ def _fit(variables: np.ndarray, weighed: np.ndarray) -> np.ndarray:
         What explains, times the weights.
     """
     explain = weighed.shape[1]
-    products = (weighed @ variables.transpose(0, 2, 1)).astype(np.float64)
-    normal, right = products[..., :explain], products[..., explain:]
+    sums = products(weighed, variables).astype(np.float64)
+    normal, right = sums[..., :explain], sums[..., explain:]
     total = normal[:, 0, 0].copy()
     diagonal = np.einsum("nii->ni", normal)
     diagonal[:, 1:] += RIDGE * total[:, None] + _LEAST_WEIGHT
