@@ -1,5 +1,7 @@
 """The spatiotemporal filter against loops in float64, and against torch's twin."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ def make(rng, height, width):
         guides=rng.random((2, 3, height, width)).astype(np.float32),
         past=rng.random((3, height, width)).astype(np.float32),
         valid=(rng.random((height, width)) < 0.7).astype(np.float32),
+        edges=rng.random((height, width)) < 0.4,
     )
     parameters = rng.normal(0, 1, (6, height + 2, width + 3)).astype(np.float32)
     return estimates, parameters
@@ -45,7 +48,9 @@ def oracle(estimates, parameters, thinned):
                         weight = np.exp(-apart[half] / bands[half] - shared)
                         weights[half] += weight
                         sums[half] += weight * values[half, :, py, px]
-            alpha = 1 / (1 + np.exp(-theta[5])) if valid[y, x] else 1
+            alpha = 1 / (1 + np.exp(-theta[5]))
+            alpha = min(alpha, 0.25) if estimates.edges[y, x] else alpha
+            alpha = alpha if valid[y, x] else 1
             halves = alpha * sums / weights[:, None] + (1 - alpha) * past[:, y, x]
             found[:, y, x] = weights @ halves / weights.sum()
     return found
@@ -70,6 +75,7 @@ def test_narrow_bands_leave_pixels_as_they_are(rng):
     estimates, parameters = make(rng, 9, 9)
     parameters[:] = 0
     parameters[5] = 100  # of this frame alone
+    estimates = dataclasses.replace(estimates, edges=None)
     found = cross_bilateral(estimates, parameters, Strips(1), thinned=False)
     np.testing.assert_allclose(found, estimates.values.mean(0), atol=1e-6)
 

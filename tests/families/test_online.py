@@ -336,6 +336,7 @@ def test_a_lamp_that_is_switched_leaves_no_light_of_the_past(online):
 
 def test_edges_are_smoothed_over_frames_as_supersampling_would(online):
     """Samples meet either side of an edge in turn: its pixels become the mean of both."""
+    image = np.zeros((16, 16, 3), np.float32)
     for number in range(12):
         normal = np.zeros((16, 16, 3), np.float32)
         normal[..., 2] = 1
@@ -350,9 +351,12 @@ def test_edges_are_smoothed_over_frames_as_supersampling_would(online):
             depth=np.ones((16, 16)),
             motion=np.zeros((16, 16, 2)),
         )
+        before = image
         image = online.denoise(frame)
     edge = image[:, 7].mean()
     assert 0.25 < edge < 0.75
+    # and do not flicker: a frame is a quarter of them at most
+    assert abs(edge - before[:, 7].mean()) < 0.2
     assert image[:, 5].mean() == pytest.approx(0.9, rel=0.05)
     assert image[:, 9].mean() == pytest.approx(0.1, rel=0.05)
 

@@ -60,7 +60,7 @@ def test_what_is_taught_is_the_picture_that_the_runtime_gives(tmp_path):
     values, guides = lesson.features[:6], lesson.features[6:12]
     estimates = Estimates(
         values=values.reshape(2, 3, SIZE, SIZE), guides=guides.reshape(2, 3, SIZE, SIZE),
-        past=lesson.features[12:], valid=lesson.valid[0],
+        past=lesson.features[12:], valid=lesson.valid[0], edges=lesson.edges[0] > 0,
     )  # fmt: skip
     filtered = cross_bilateral(estimates, theta, Strips(1), thinned=THINNED)
     image, wanted = filtered * lesson.factor, lesson.wanted

@@ -12,6 +12,9 @@ from stillray.arrays.extend import surround
 from stillray.arrays.strips import STRIP_PIXELS, Strips
 
 WINDOW = 11  # pixels, odd (below eq. 8)
+#: Of a frame in the picture, at most, where geometry or texture changes within a pixel (differs:
+#: the network's alone): its samples meet either side in turn, and only a mean of frames is smooth.
+EDGE_SHARE = 0.25
 EPSILON = np.float32(1e-4)  # of eq. 9, in squared bands
 _REACH = WINDOW // 2
 _LEAST = np.float32(-80)  # of an exponent, before the smallest normal number
@@ -35,12 +38,15 @@ class Estimates:
         The last output at these pixels.
     valid : (h, w) float32
         1 where there is a past, 0 where there is none.
+    edges : (h, w) bool or None
+        Where this frame's share is at most `EDGE_SHARE`; None: nowhere.
     """
 
     values: np.ndarray
     guides: np.ndarray
     past: np.ndarray
     valid: np.ndarray
+    edges: np.ndarray | None = None
 
 
 def taps(thinned: bool) -> list[tuple[int, int]]:
@@ -95,7 +101,10 @@ def cross_bilateral(
         sums, weights = _sums(planes, theta, rows, height, offsets)
         sums /= weights
         with np.errstate(over="ignore"):
-            share = 1 - estimates.valid[rows] / (1 + np.exp(theta[-1]))
+            kept = 1 / (1 + np.exp(theta[-1]))
+        if estimates.edges is not None:
+            np.maximum(kept, 1 - EDGE_SHARE, out=kept, where=estimates.edges[rows])
+        share = 1 - estimates.valid[rows] * kept
         now = sums[:, 0] * weights[0] + sums[:, 1] * weights[1]
         now /= weights[0] + weights[1]
         # both estimates are blended with one past by one share: so is their combination

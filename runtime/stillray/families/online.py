@@ -12,10 +12,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from stillray.arrays.extend import surround
-from stillray.arrays.strips import STRIP_PIXELS, Strips, planes_of
+from stillray.arrays.strips import STRIP_PIXELS, Strips, planes_of, with_halo
 from stillray.families import filter_network
 from stillray.families.contract import Context, Engine, Request, State, Step, Traits
 from stillray.families.cost import cross_bilateral_cost, cross_regression_cost
@@ -46,6 +47,7 @@ _log = logging.getLogger("stillray")
 _COLORS = 3
 #: Differences of albedo and of normals at which a pixel counts 1/e in the regression.
 GUIDE_UNITS = np.array([0.15] * 3 + [0.5] * 3, np.float32)
+_CHANGE = np.float32(0.3)  # of albedo or of a normal's component: an edge
 #: A part of a window's neighbours, see `cross_bilateral.taps`; the graph of a step has it too.
 THINNED = True
 
@@ -173,6 +175,7 @@ class OnlineModel:
                 guides=guides.reshape(2, _COLORS, *shape),
                 past=last[:3],
                 valid=last[3],
+                edges=_edges(guides, context),
             )
             irradiance = radiance_of(self.filter(estimates, theta, strips), exposure, strips)
             image = remodulated(irradiance, albedo, strips)
@@ -303,6 +306,21 @@ def _guide_planes(prepared: Prepared, context: Context) -> np.ndarray:
 
     context.strips.run(work, *guides.shape[2:])
     return guides.reshape(-1, *guides.shape[2:])
+
+
+def _edges(guides: np.ndarray, context: Context) -> np.ndarray:
+    """Where a guide ``(g, h, w)`` changes among the 3x3 pixels around one, ``(h, w)`` bool."""
+    height, width = guides.shape[1:]
+    edges, around = np.zeros((height, width), bool), np.ones((3, 3), np.uint8)
+
+    def work(rows: slice) -> None:
+        near, own = with_halo(rows, 1, height)
+        for guide in guides[:, near]:
+            span = cv2.subtract(cv2.dilate(guide, around), cv2.erode(guide, around))
+            edges[rows] |= span[own] > _CHANGE
+
+    context.strips.run(work, height, width)
+    return edges
 
 
 def _remembered(

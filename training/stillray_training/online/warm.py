@@ -31,7 +31,7 @@ from stillray.cli import program
 from stillray.compare.display import display_exposure
 from stillray.errors import InputError
 from stillray.families.contract import State
-from stillray.families.cross_bilateral import Estimates
+from stillray.families.cross_bilateral import EDGE_SHARE, Estimates
 from stillray.families.online import THINNED, OnlineModel
 from stillray.families.online_learning import Learned
 from stillray.families.registry import FAMILIES
@@ -66,6 +66,8 @@ class Taught:
         Pilots of both halves, albedo, normals, the last picture.
     valid : (1, h, w) float32
         1 where there is a last picture.
+    edges : (1, h, w) float32
+        1 where the frame's share is bounded.
     factor : (3, h, w) float32
         What the filter's result is multiplied by, to be exposed radiance.
     wanted : (3, h, w) float32
@@ -74,6 +76,7 @@ class Taught:
 
     features: np.ndarray
     valid: np.ndarray
+    edges: np.ndarray
     factor: np.ndarray
     wanted: np.ndarray
 
@@ -89,7 +92,8 @@ class _Watched(OnlineModel):
         """As the model's."""
         result = super().filter(estimates, theta, strips)
         # all of it lies in memory that the next frame writes to
-        given = Estimates(**{name: np.array(part) for name, part in vars(estimates).items()})
+        parts = {name: part for name, part in vars(estimates).items() if part is not None}
+        given = Estimates(**{name: part.copy() for name, part in parts.items()})
         self._seen.append((given, result.copy()))
         return result
 
@@ -137,9 +141,11 @@ def lessons_of(sequence: Path, weights: np.ndarray, model: str = "online") -> It
             exposure = np.float32(display_exposure(wanted))
             planes = np.ascontiguousarray(image.transpose(2, 0, 1)) * exposure
             known = filtered > _LEAST
+            assert seen.edges is not None
             yield Taught(
                 features=np.concatenate([*seen.values, *seen.guides, seen.past]),
                 valid=seen.valid[None],
+                edges=seen.edges[None].astype(np.float32),
                 factor=np.divide(planes, filtered, out=np.zeros_like(planes), where=known),
                 wanted=wanted.transpose(2, 0, 1) * exposure,
             )
@@ -163,7 +169,8 @@ def picture_loss(weights: Tensor, lesson: dict[str, Tensor], layout: Shapes) -> 
         planes[:6], planes[6:12], torch.ones_like(planes[:1]), theta, thinned=THINNED
     )
     now = (filtered * totals[:, None]).sum(0) / totals.sum(0)
-    share = 1 - lesson["valid"] * torch.sigmoid(-theta[5:])
+    kept = torch.maximum(torch.sigmoid(-theta[5:]), (1 - EDGE_SHARE) * lesson["edges"])
+    share = 1 - lesson["valid"] * kept
     picture = planes[12:15] + share * (now - planes[12:15])
     image, wanted = (picture * lesson["factor"])[None], lesson["wanted"][None]
     error = (displayed(image) - displayed(wanted)).abs().mean()
