@@ -40,7 +40,11 @@ SMALLER = {
         {"finest_filters": (2,)},
     ),
     "nbg-2x3": ({}, {}),
-    "wskp-mr": ({}, {"kernel_sizes": (5,)}),
+    # all levels and both ways to meet a skip; a block on the way down and one on the way up
+    "wskp-mr": (
+        {"widths": (8, 8, 12), "encoder_blocks": (1, 0, 0), "decoder_blocks": (0, 1)},
+        {"kernel_sizes": (5,)},
+    ),
 }
 
 

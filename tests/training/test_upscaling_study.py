@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 torch = pytest.importorskip("torch")
@@ -31,6 +33,13 @@ def test_one_branch_has_the_weights_of_two_and_gives_the_same_planes():
 def test_from_data_to_the_page(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "SHORT", {"batch": 1, "patch": 16, "frames": 2, "warm_frames": 0})
     monkeypatch.setattr(study, "PICTURE", (16, 16))
+    # six networks are exported; of two levels, the coarser still has half of its channels left out
+    base = load(study.BASE)
+    network = dataclasses.replace(base.network, radiance_widths=(8, 12), guide_widths=(4, 6))
+    decoder = dataclasses.replace(base.decoder, features=2, coarsest_filters=(2, 1))
+    less = dataclasses.replace(base, network=network, decoder=decoder)
+    monkeypatch.setattr(study, "load", {study.BASE: less}.get)
+    monkeypatch.setattr(study, "SINGLE_WIDTHS", (9, 14))
     render(tmp_path / "data" / "plane-0-0")
     render(tmp_path / "validation" / "plane-1-0")
     given = {"out": tmp_path / "out", "seeds": 2, "steps": 1, "threads": 1}

@@ -46,10 +46,17 @@ def path(frame_graph):
     return frame_graph(NAME)
 
 
-@pytest.fixture
-def denoiser(path):
+@pytest.fixture(scope="module")
+def opened(path):
     with stillray.Denoiser(path, threads=1, providers=[CPU]) as made:
         yield made
+
+
+@pytest.fixture
+def denoiser(opened):
+    """At its first frame: to open the graph takes longer than most of what is asked of it."""
+    opened.state = None
+    return opened
 
 
 class Spy:
