@@ -44,7 +44,8 @@ $(RUNTIME)/.ready: pyproject.toml
 $(FULL)/.ready: pyproject.toml
 	@echo "installing everything (torch and Mitsuba too: a few minutes) into $(FULL)"
 	$(PYTHON) -m venv $(FULL)
-	$(FULL)/bin/python -m pip install -q -e '.[train,farm,compare,dev]'
+	@# of torch's and Mitsuba's thousands of modules few are imported: compiled then, not all here
+	$(FULL)/bin/python -m pip install -q --no-compile -e '.[train,farm,compare,dev]'
 	@touch $@
 
 # a Python of its own: Blender's modules want NumPy below 2; what else bpy asks for, tests need not
