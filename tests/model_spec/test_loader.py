@@ -110,6 +110,13 @@ def test_a_bound_beside_edges_needs_edges(data, contrast, blur, rule):
         parse(data)
 
 
+def test_no_rule_bounds_a_past_that_the_network_weighs():
+    data = json.loads(load("munet-x1").to_json())
+    data["temporal"]["edge_blur"] = 0.5
+    with pytest.raises(SpecError, match=r"temporal.edge_blur must be in \[0, 0\], got 0.5"):
+        parse(data)
+
+
 def test_a_family_has_tables_of_its_own(data):
     data["family"] = "kernel-pyramid"
     with pytest.raises(SpecError, match=r"unknown key|missing key (network|decoder)\."):

@@ -89,6 +89,7 @@ class Family:
     network: type
     decoder: type
     most_block: int = 2  # pixels, of the networks that know blocks
+    weighs_past: bool = False  # the network itself, pixel by pixel: no rule bounds it beside edges
 
 
 class SpecError(InputError):
@@ -626,8 +627,8 @@ class ModelSpec:
         _within("temporal.most_blur", self.temporal.most_blur, 0, 1e6)
         _within("temporal.sharp_contrast", self.temporal.sharp_contrast or 1.0, 1, 1e6)
         # edges are those of some contrast
-        most = 1e6 if self.temporal.sharp_contrast else 0.0
-        _within("temporal.edge_blur", self.temporal.edge_blur, 0, most)
+        bounded = self.temporal.sharp_contrast > 0 and not family.weighs_past
+        _within("temporal.edge_blur", self.temporal.edge_blur, 0, 1e6 if bounded else 0)
         _within("relief.window", self.relief.window, 0, 1e3)
 
     def to_json(self) -> str:
@@ -646,7 +647,7 @@ FAMILIES = {
     "multi-resolution-kernels": Family(PyramidNetwork, FusedKernels, most_block=1),
     "bilateral-grids": Family(GuideNetwork, BilateralGrids),
     "cross-regression": Family(FilterNetwork, CrossBilateral),
-    "feature-filters": Family(BranchNetwork, FeatureFilters),
+    "feature-filters": Family(BranchNetwork, FeatureFilters, weighs_past=True),
 }
 
 
