@@ -373,7 +373,7 @@ def warped(
     means = (kept.light, kept.albedo, kept.specular)
     room = [workspace.array(f"past {index}", (*grid.full, 4)) for index in range(4)]
     sharp = Sharpening(before.output, strips) if rules.filters.sharp_recall else None
-    edges = Edges.of(before.output, rules.sharp_contrast, strips)
+    edges = Edges.of(before.output, rules.sharp_contrast, strips, sharp)
 
     def work(rows: slice) -> None:
         positions, inside = grid.past_positions(motion, rows)

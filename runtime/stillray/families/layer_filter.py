@@ -271,12 +271,15 @@ class FilteredLayers:
         motion, before, now = prepared.motion, past.surface_guides, prepared.history.surface_guides
         weight, options = self._weight, self._kernels.spec.temporal
         mask: np.ndarray | None = None
-        if before is not None and now is not None and motion.any():
-            mask = discontinuities(before, strips, Workspace())
+        edges: rep.Edges | None = None
+        if motion.any():
+            # of the color's output: layers add up only if they are sharpened as it is. `_follow`
+            # makes the light of the same output, so that what lies in the workspace stays.
+            edges = rep.Edges.of(past.output, options.sharp_contrast, strips)
+            if before is not None and now is not None:
+                mask = discontinuities(before, strips, Workspace())
 
         def accumulated(mean: np.ndarray, light: np.ndarray) -> np.ndarray:
-            # of the color's output: layers add up only if they are sharpened as it is
-            edges = rep.Edges.of(past.output, options.sharp_contrast, strips)
             result, previous = np.empty_like(mean), rep.PreviousFrame(mean, before, mask, edges)
 
             def work(rows: slice) -> None:

@@ -316,7 +316,7 @@ def _edges(guides: np.ndarray, context: Context) -> np.ndarray:
     def work(rows: slice) -> None:
         near, own = with_halo(rows, 1, height)
         for guide in guides[:, near]:
-            span = cv2.subtract(cv2.dilate(guide, around), cv2.erode(guide, around))
+            span = cv2.morphologyEx(guide, cv2.MORPH_GRADIENT, around)
             edges[rows] |= span[own] > _CHANGE
 
     context.strips.run(work, height, width)

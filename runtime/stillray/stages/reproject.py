@@ -177,11 +177,20 @@ class Edges:
     near: np.ndarray
 
     @classmethod
-    def of(cls, output: np.ndarray | None, contrast: float, strips: Strips) -> Edges | None:
-        """Of an output ``(H, W, 4)``; None without one, or where the contrast asked for is 0."""
+    def of(
+        cls,
+        output: np.ndarray | None,
+        contrast: float,
+        strips: Strips,
+        light: Sharpening | None = None,
+    ) -> Edges | None:
+        """Of an output ``(H, W, 4)``; None without one, or where the contrast asked for is 0.
+
+        ``light`` is the output's, where it has been made already.
+        """
         if output is None or not contrast:
             return None
-        light = Sharpening(output, strips)
+        light = light or Sharpening(output, strips)
         contrasts = light.contrasts(contrast)
         near = strips.workspace.array("near contrasts", contrasts.shape, np.uint8)
         return cls(light, contrasts, cv2.dilate(contrasts, _AROUND, dst=near))
