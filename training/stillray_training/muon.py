@@ -9,7 +9,7 @@ of `kpyr-5` took 1.5 s with it where this one takes 1.1.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import torch
@@ -49,15 +49,24 @@ class Muon(torch.optim.Optimizer):
         """Follow the gradients that there are; ``closure`` is not taken."""
         assert closure is None
         for group in self.param_groups:
-            for weight in group["params"]:
-                if weight.grad is None:
-                    continue
+            weights = [weight for weight in group["params"] if weight.grad is not None]
+            if not weights:
+                continue
+            torch._foreach_mul_(weights, 1 - group["lr"] * group["weight_decay"])
+            # those of one shape are multiplied at once
+            shapes: dict[torch.Size, list[Tensor]] = {}
+            others: list[Tensor] = []
+            for weight in weights:
                 if is_kernel(weight):
-                    change = _muon_step(weight.grad, self.state[weight])
+                    shapes.setdefault(weight.shape, []).append(weight)
                 else:
-                    change = _adam_step(weight.grad, self.state[weight])
-                weight.mul_(1 - group["lr"] * group["weight_decay"])
-                weight.sub_(change, alpha=group["lr"])
+                    others.append(weight)
+            for alike in shapes.values():
+                changes = _muon_steps(alike, [self.state[weight] for weight in alike])
+                torch._foreach_add_(alike, changes, alpha=-group["lr"])
+            if others:
+                changes = _adam_steps(others, [self.state[weight] for weight in others])
+                torch._foreach_add_(others, changes, alpha=-group["lr"])
 
 
 def is_kernel(weight: Tensor) -> bool:
@@ -65,41 +74,52 @@ def is_kernel(weight: Tensor) -> bool:
     return weight.dim() == 4 and min(weight.shape[:2]) >= LEAST_SIDE
 
 
-def orthogonal(matrix: Tensor) -> Tensor:
-    """The nearest matrix whose singular values are near 1 (0.7 to 1.2), ``(n, m)``.
+def orthogonal(matrices: Tensor) -> Tensor:
+    """The nearest matrices whose singular values are near 1 (0.7 to 1.2), ``(..., n, m)``.
 
     Zeros stay zeros.
     """
-    tall = matrix.shape[0] > matrix.shape[1]
-    x = matrix.T if tall else matrix
-    x = x / x.norm().clamp(min=1e-7)
+    tall = matrices.shape[-2] > matrices.shape[-1]
+    x = matrices.mT if tall else matrices
+    x = x / x.norm(dim=(-2, -1), keepdim=True).clamp(min=1e-7)
     first, third, fifth = _QUINTIC
     for _ in range(_ITERATIONS):
-        square = x @ x.T
+        square = x @ x.mT
         x = first * x + (third * square + fifth * square @ square) @ x
-    return x.T if tall else x
+    return x.mT if tall else x
 
 
-def _muon_step(gradient: Tensor, state: dict[str, Any]) -> Tensor:
-    """Nesterov's momentum, made orthogonal; of the size of a step of Adam."""
-    if not state:
-        state["momentum"] = torch.zeros_like(gradient)
-    momentum = state["momentum"].lerp_(gradient, 1 - _MOMENTUM)
-    ahead = gradient.lerp(momentum, _MOMENTUM).flatten(1)
-    scale = _ADAMS_STEP * max(ahead.shape) ** 0.5
-    return scale * orthogonal(ahead).reshape(gradient.shape)
+def _muon_steps(alike: Sequence[Tensor], states: Sequence[dict[str, Any]]) -> list[Tensor]:
+    """Nesterov's momentum of weights of one shape, made orthogonal; of the size of Adam's steps."""
+    gradients = [weight.grad for weight in alike if weight.grad is not None]
+    for state, gradient in zip(states, gradients, strict=True):
+        if not state:
+            state["momentum"] = torch.zeros_like(gradient)
+    momenta = [state["momentum"] for state in states]
+    torch._foreach_lerp_(momenta, gradients, 1 - _MOMENTUM)
+    ahead = torch.stack(torch._foreach_lerp(gradients, momenta, _MOMENTUM)).flatten(2)
+    scale = _ADAMS_STEP * max(ahead.shape[1:]) ** 0.5
+    return list((scale * orthogonal(ahead)).view(len(alike), *alike[0].shape).unbind())
 
 
-def _adam_step(gradient: Tensor, state: dict[str, Any]) -> Tensor:
+def _adam_steps(weights: Sequence[Tensor], states: Sequence[dict[str, Any]]) -> list[Tensor]:
     """Kingma and Ba 2015, algorithm 1."""
-    if not state:
-        state["step"] = torch.zeros(())
-        state["mean"] = torch.zeros_like(gradient)
-        state["square"] = torch.zeros_like(gradient)
-    state["step"] += 1
+    gradients = [weight.grad for weight in weights if weight.grad is not None]
+    for state, gradient in zip(states, gradients, strict=True):
+        if not state:
+            state["step"] = torch.zeros(())
+            state["mean"] = torch.zeros_like(gradient)
+            state["square"] = torch.zeros_like(gradient)
+        state["step"] += 1
+    means, squares = ([state[name] for state in states] for name in ("mean", "square"))
     of_mean, of_square = _BETAS
-    state["mean"].lerp_(gradient, 1 - of_mean)
-    state["square"].lerp_(gradient.square(), 1 - of_square)
-    mean = state["mean"] / (1 - of_mean ** state["step"])
-    square = state["square"] / (1 - of_square ** state["step"])
-    return mean / (square.sqrt() + _EPSILON)
+    torch._foreach_lerp_(means, gradients, 1 - of_mean)
+    torch._foreach_lerp_(squares, torch._foreach_mul(gradients, gradients), 1 - of_square)
+    # the counts lie with the processor, whatever the device
+    steps = [float(state["step"]) for state in states]
+    divisors = torch._foreach_div(squares, [1 - of_square**step for step in steps])
+    torch._foreach_sqrt_(divisors)
+    torch._foreach_add_(divisors, _EPSILON)
+    changes = torch._foreach_div(means, [1 - of_mean**step for step in steps])
+    torch._foreach_div_(changes, divisors)
+    return list(changes)

@@ -6,8 +6,10 @@ steps.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -19,7 +21,13 @@ from stillray.arrays.strips import Strips
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec
 from stillray.pipeline.denoiser import Denoiser
-from stillray_training.examples import NOISY, Example, load_examples, remembered
+from stillray_training.examples import (
+    NOISY,
+    Example,
+    Remembered,
+    load_examples,
+    remembered,
+)
 from stillray_training.families import FAMILIES, Family
 from stillray_training.losses import (
     blur_error,
@@ -32,32 +40,31 @@ from stillray_training.losses import (
     smape,
     unsteadiness,
 )
+from stillray_training.machine import Batches, Machine
 from stillray_training.networks.fuse import fuse
 from stillray_training.onnx_graph import network_graph
 from stillray_training.patches import Batch, PatchSampler
 from stillray_training.run import Run, progress_bar, sequences_in
 
-#: Whether the processor multiplies bfloat16 itself; where it does not, a step takes far longer.
-HAS_BFLOAT16 = any(
-    torch.cpu.get_capabilities().get(name) for name in ("avx512_bf16", "amx_bf16", "bf16")
-)
 PREVIOUS = "previous.onnx"  # the model whose outputs are the previous ones of a recurrence
 _USUAL_ERROR = 0.25  # mean error as displayed of a patch of one sample a pixel
 _QUIETEST = 0.01  # and what is added to it, so that a patch without noise does not count alone
 
 
 def reconstruct_loss(
-    network: nn.Module, batch: Batch, spec: ModelSpec, family: Family | None = None
+    network: nn.Module,
+    batch: Batch | Mapping[str, Tensor],
+    spec: ModelSpec,
+    family: Family | None = None,
 ) -> Tensor:
     """Error of the re-modulated result against the reference, both exposed."""
     family = family or FAMILIES[spec.family]
-    take = {
-        field.name: torch.from_numpy(getattr(batch, field.name))
-        for field in dataclasses.fields(batch)
-    }
+    arrays = vars(batch) if isinstance(batch, Batch) else batch
+    take = {name: torch.as_tensor(array) for name, array in arrays.items()}
     # channels last: the processor's convolutions of 16 channels run a third faster
     features = take["features"].contiguous(memory_format=torch.channels_last)
-    with torch.autocast("cpu", torch.bfloat16, enabled=spec.training.bfloat16 and HAS_BFLOAT16):
+    halves = spec.training.bfloat16 and Machine(features.device).has_bfloat16
+    with torch.autocast(features.device.type, torch.bfloat16, enabled=halves):
         outputs = network(features)
     outputs = tree_map(Tensor.float, outputs)
     image = family.radiance(outputs, take, spec) * take["exposure"]
@@ -100,6 +107,7 @@ def train(
     save_every: int = 200,
     family: Family | None = None,
     examples: Sequence[Example] = (),
+    machine: Machine | None = None,
 ) -> nn.Module:
     """Train until the recipe's last step; resumes from ``out`` if it holds a checkpoint.
 
@@ -120,6 +128,8 @@ def train(
     examples
         What `load_all` gave for the same data, to several trainings that see it alike; loaded here
         if there are none.
+    machine
+        What it runs on; None: this process and its processor.
 
     Raises
     ------
@@ -128,35 +138,40 @@ def train(
     """
     sequences = sequences_in(data)
     family = family or FAMILIES[spec.family]
-    recipe = spec.training
+    recipe, machine = spec.training, machine or Machine()
     torch.manual_seed(recipe.seed)
     network = family.network(spec)
-    run = Run(spec, network, sequences, out)
+    run = Run(spec, network, sequences, out, machine.device, machine.minutes)
     if start is not None:
         run.start_from(start)
     with progress_bar() as progress:
         # a list of its own: previous outputs are this model's
-        examples = list(examples) or load_all(data, spec, progress)
+        examples = list(examples) or load_all(data, spec, progress, machine)
+        past = _Past(examples, sequences, out / PREVIOUS, machine)
         resumed = recipe.history_from and run.step > recipe.history_from
         if resumed and (run.step - recipe.history_from) % recipe.history_every:
-            _refresh_past(examples, sequences, out / PREVIOUS, progress)
+            past.refresh(progress)
         sampler = PatchSampler(examples, spec)
+        batches = Batches(lambda step: vars(sampler.batch(step)), recipe.steps, machine)
 
         def renew(step: int) -> None:
             since = step - recipe.history_from
             if recipe.history_from and since >= 0 and since % recipe.history_every == 0:
                 _export_for_previous_output(run.average, spec, out / PREVIOUS)
-                _refresh_past(examples, sequences, out / PREVIOUS, progress)
+                past.refresh(progress)
+                batches.forget()
 
         return run.finish(
-            lambda step: reconstruct_loss(network, sampler.batch(step), spec, family),
+            lambda step: reconstruct_loss(network, batches(step), spec, family),
             progress,
             before=renew,
             save_every=save_every,
         )
 
 
-def load_all(data: list[Path], spec: ModelSpec, progress: Progress) -> list[Example]:
+def load_all(
+    data: list[Path], spec: ModelSpec, progress: Progress, machine: Machine | None = None
+) -> list[Example]:
     """The examples of all sequences of some folders.
 
     Raises
@@ -165,41 +180,66 @@ def load_all(data: list[Path], spec: ModelSpec, progress: Progress) -> list[Exam
         There are no finished sequences.
     """
     sequences = sequences_in(data)
-    loading = progress.add_task("load", total=len(sequences))
-    loaded: dict[Path, list[Example]] = {}  # what is named twice takes memory once
-    examples: list[Example] = []
-    for sequence in sequences:
-        if sequence not in loaded:
-            loaded[sequence] = load_examples(sequence, spec, Strips(1))
-        examples += loaded[sequence]
+    once = list(dict.fromkeys(sequences))  # what is named twice takes memory once
+    loading = progress.add_task("load", total=len(once))
+    loaded: dict[Path, list[Example]] = {}
+    made = (machine or Machine()).made(partial(load_examples, spec=spec, strips=Strips(1)), once)
+    for sequence, examples in zip(once, made, strict=True):
+        loaded[sequence] = examples
         progress.advance(loading)
-    return examples
+    return [example for sequence in sequences for example in loaded[sequence]]
 
 
 def _export_for_previous_output(network: nn.Module, spec: ModelSpec, path: Path) -> None:
     """Write the network as it is now, so that a resumed run sees the same previous outputs."""
     with atomic_path(path) as temporary:
-        temporary.write_bytes(network_graph(fuse(network), spec, {}).SerializeToString())
+        here = copy.deepcopy(network).cpu()
+        temporary.write_bytes(network_graph(fuse(here), spec, {}).SerializeToString())
 
 
-def _refresh_past(
-    examples: list[Example], sequences: list[Path], model: Path, progress: Progress
-) -> None:
-    """Give every example what a model remembers: one step of a recurrence, unrolled.
+class _Past:
+    """Gives examples what a model remembers: one step of a recurrence, unrolled.
 
     Gradients stop at the previous output, which grows old until it is renewed; in return the
     recurrence costs nothing a step, and is as long as the sequence.
+
+    Parameters
+    ----------
+    examples
+        Of all sequences; those with a past are replaced.
+    sequences
+        Where they are from.
+    model
+        The file of the model that remembers.
+    machine
+        Who runs it.
     """
-    once = list(dict.fromkeys(sequences))  # data may be named twice, so that it counts twice
-    task = progress.add_task("the past", total=len(once))
-    places: dict[tuple[str, int], list[int]] = {}
-    for index, example in enumerate(examples):
-        if example.kind == NOISY:
-            places.setdefault((example.sequence, example.frames), []).append(index)
-    with Denoiser(model, threads=1) as denoiser:
-        for sequence in once:
-            for frames, found in remembered(sequence, denoiser, Strips(1)).items():
-                for at in places[sequence.name, frames]:
-                    examples[at] = dataclasses.replace(examples[at], **found._asdict())
-            progress.advance(task)
-    progress.remove_task(task)
+
+    def __init__(
+        self, examples: list[Example], sequences: list[Path], model: Path, machine: Machine
+    ) -> None:
+        self._examples, self._model, self._machine = examples, model, machine
+        self._once = list(dict.fromkeys(sequences))  # data may be named twice, to count twice
+        self._places: dict[tuple[str, int], list[int]] = {}
+        for index, example in enumerate(examples):
+            if example.kind == NOISY:
+                self._places.setdefault((example.sequence, example.frames), []).append(index)
+
+    def refresh(self, progress: Progress) -> None:
+        """Run the model as it is in its file over all sequences."""
+        task = progress.add_task("the past", total=len(self._once))
+        share = -(-len(self._once) // max(self._machine.workers, 1))
+        parts = [self._once[at : at + share] for at in range(0, len(self._once), share)]
+        for part, of_part in zip(parts, self._machine.made(self._remembered, parts), strict=True):
+            for sequence, of_sequence in zip(part, of_part, strict=True):
+                for frames, found in of_sequence.items():
+                    for at in self._places[sequence.name, frames]:
+                        self._examples[at] = dataclasses.replace(
+                            self._examples[at], **found._asdict()
+                        )
+                progress.advance(task)
+        progress.remove_task(task)
+
+    def _remembered(self, sequences: list[Path]) -> list[dict[int, Remembered]]:
+        with Denoiser(self._model, threads=1) as denoiser:
+            return [remembered(sequence, denoiser, Strips(1)) for sequence in sequences]

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
 import torch
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from torch import Tensor, nn
@@ -37,6 +36,10 @@ class Run:
         What it learns from, for the record.
     out
         Folder for the checkpoint, the log and the records; made if missing.
+    device
+        Where it learns.
+    minutes
+        After which it is done, however many steps that were; none for all steps.
 
     Attributes
     ----------
@@ -52,9 +55,17 @@ class Run:
     """
 
     def __init__(
-        self, spec: ModelSpec, network: nn.Module, sequences: Sequence[Path], out: Path
+        self,
+        spec: ModelSpec,
+        network: nn.Module,
+        sequences: Sequence[Path],
+        out: Path,
+        device: torch.device | None = None,
+        minutes: float = float("inf"),
     ) -> None:
-        self._spec, self._network, self._out = spec, network, out
+        # before there are moments, which lie where their weights do
+        self._spec, self._network, self._out = spec, network.to(device), out
+        self._seconds, self._began = 60 * minutes, time.monotonic()
         self._optimiser = optimiser_of(network, spec.training)
         self.average = copy.deepcopy(network) if spec.training.average else network
         out.mkdir(parents=True, exist_ok=True)
@@ -68,6 +79,12 @@ class Run:
             origin = start_from(model, self._network, self._spec)
             (self._out / STARTED_FROM).write_text(json.dumps(origin, indent=1))
             self.average.load_state_dict(self._network.state_dict())
+
+    @property
+    def done(self) -> float:
+        """Part of the training that is done, of its steps or of its time, whichever is more."""
+        of_time = (time.monotonic() - self._began) / self._seconds
+        return min(max(self.step / self._spec.training.steps, of_time), 1.0)
 
     def finish(
         self,
@@ -95,25 +112,27 @@ class Run:
         """
         recipe = self._spec.training
         task = progress.add_task(self._spec.name, total=recipe.steps, completed=self.step)
-        losses: list[float] = []
-        began = time.monotonic()
-        while self.step < recipe.steps:
+        losses: list[Tensor] = []  # read at last: a device that is asked waits
+        self._began = time.monotonic()
+        while self.done < 1:
             before(self.step)
             losses.append(self._learn(loss_at(self.step), most_gradient))
             self.step += 1
             progress.advance(task)
             if self.step % LOG_EVERY == 0:
-                seconds = time.monotonic() - began
-                log_loss(self._out / LOG, self.step, float(np.mean(losses)), seconds)
+                seconds = time.monotonic() - self._began
+                log_loss(self._out / LOG, self.step, float(torch.stack(losses).mean()), seconds)
                 losses = []
-            if self.step % save_every == 0 or self.step == recipe.steps:
+            if self.step % save_every == 0:
                 self._save()
+        if self.step % save_every:
+            self._save()
         return self.average
 
-    def _learn(self, loss: Tensor, most_gradient: float) -> float:
+    def _learn(self, loss: Tensor, most_gradient: float) -> Tensor:
         """One step of the optimiser; the loss."""
         for group in self._optimiser.param_groups:
-            group["lr"] = learning_rate(self.step, self._spec)
+            group["lr"] = learning_rate(self.step, self.done, self._spec.training)
         self._optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         if most_gradient < float("inf"):
@@ -122,7 +141,7 @@ class Run:
         if self.average is not self._network:
             decay = min(self._spec.training.average, self.step / (self.step + 10))
             follow(self.average, self._network, decay)
-        return loss.item()
+        return loss.detach()
 
     def _save(self) -> None:
         path = self._out / CHECKPOINT

@@ -7,7 +7,6 @@ import math
 import torch
 from torch import nn
 
-from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import Training
 from stillray_training.muon import Muon
 
@@ -18,19 +17,23 @@ def optimiser_of(network: nn.Module, recipe: Training) -> torch.optim.Optimizer:
     return of(network.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay)
 
 
-def learning_rate(step: int, spec: ModelSpec) -> float:
-    """A short linear rise, then a cosine decay to one per cent."""
-    recipe = spec.training
+def learning_rate(step: int, done: float, recipe: Training) -> float:
+    """A short linear rise over steps, then a cosine decay to one per cent.
+
+    Parameters
+    ----------
+    step
+        From 0 on.
+    done
+        Part of the training that is done, [0, 1].
+    recipe
+        The rate to begin with.
+    """
     rise = min(1.0, (step + 1) / 100)
-    return (
-        recipe.learning_rate
-        * rise
-        * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(step / recipe.steps, 1.0))))
-    )
+    return recipe.learning_rate * rise * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * done)))
 
 
 def follow(average: nn.Module, network: nn.Module, decay: float) -> None:
     """A step of a running mean of weights."""
     with torch.no_grad():
-        for mean, weight in zip(average.parameters(), network.parameters(), strict=True):
-            mean.lerp_(weight, 1 - decay)
+        torch._foreach_lerp_(list(average.parameters()), list(network.parameters()), 1 - decay)

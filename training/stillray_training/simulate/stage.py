@@ -251,7 +251,10 @@ def _file_alpha(mi: Any, bsdf: Any) -> float:
         if {"alpha", "alpha_u", "roughness"} & set(parts) and parts[-1] in (
             "alpha", "alpha_u", "roughness", "value", "data",
         ):  # fmt: skip
-            mean = float(np.mean(np.array(parameters[name])))
+            values = np.array(parameters[name])
+            mean = float(np.mean(values))
+            if values.dtype.kind == "u":  # a picture of bytes is kept as it is
+                mean /= np.iinfo(values.dtype).max
             # Disney's principled material squares what an artist sets
             return mean**2 if "roughness" in parts else mean
     smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta)

@@ -19,6 +19,7 @@ from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import FeatureFilters, Training
 from stillray.stages import features
 from stillray.stages.accumulate import bounded
+from stillray.stages.repair import repair_feature
 from stillray_training.blocks import frame_paths
 from stillray_training.paint import blackened, repainted
 from stillray_training.quiet import fireflies
@@ -73,9 +74,14 @@ def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
     for path in frame_paths(sequence):
         frame = read_exr(path)
         number = int(path.stem.split("_")[1])
-        motion, depth = frame.motion, frame.depth
-        if motion is None or depth is None or _lacks_guides(frame):
+        motion, depth, rough, glossy = (
+            frame.motion, frame.depth, frame.roughness, frame.specular_albedo
+        )  # fmt: skip
+        if motion is None or depth is None or rough is None or glossy is None or _bare(frame):
             raise InputError(f"{path}: must have motion, depth and {', '.join(_GUIDES)}")
+        # as the runtime hands them on
+        rough, glossy = (repair_feature(guide, 0.0, 1.0) for guide in (rough, glossy))
+        frame = replace(frame, roughness=rough, specular_albedo=glossy)
         if frame.jitter is None:
             jitter = np.array(record["cameras"][number]["jitter"], np.float32)
             frame = replace(frame, jitter=jitter)
@@ -91,7 +97,7 @@ def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
     return Clip(frames=frames, references=references, exposures=exposures, depth_units=units)
 
 
-def _lacks_guides(frame: Frame) -> bool:
+def _bare(frame: Frame) -> bool:
     """Whether a frame lacks what the network is steered by."""
     return not frame.given.issuperset(_GUIDES)
 

@@ -11,6 +11,7 @@ a third of the price.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -29,6 +30,7 @@ from stillray_training.losses import (
     slope_error,
     smape,
 )
+from stillray_training.machine import Batches, Machine
 from stillray_training.networks.multi_branch import multi_branch_net
 from stillray_training.run import Run, progress_bar, sequences_in
 from stillray_training.upscaling.clips import Clip, ClipSampler, Sample, load_clip
@@ -39,7 +41,10 @@ _MOST_GRADIENT = 1.0  # norm: recurrences have steep walls
 
 
 def sequence_loss(
-    network: nn.Module, batch: list[Sample], spec: ModelSpec, progress: float = 0.0
+    network: nn.Module,
+    batch: Sequence[Sample | Mapping[str, Tensor]],
+    spec: ModelSpec,
+    progress: float = 0.0,
 ) -> Tensor:
     """Mean loss over the last frames of a batch, as many as the recipe has; no gradient goes
     further back.
@@ -49,7 +54,7 @@ def sequence_loss(
     network
         In training.
     batch
-        Of `ClipSampler`.
+        Of `ClipSampler`, arrays or tensors.
     spec
         The model and its recipe.
     progress
@@ -61,7 +66,7 @@ def sequence_loss(
     total: Tensor | None = None
     warm = len(batch) - spec.training.frames
     for index, sample in enumerate(batch):
-        frame = {name: torch.from_numpy(array) for name, array in sample.items()}
+        frame = {name: torch.as_tensor(array) for name, array in sample.items()}
         if index < warm:
             with torch.no_grad():
                 _, before, _ = unrolled_step(network, frame, before, names, rules)
@@ -127,6 +132,7 @@ def train_recurrent(
     save_every: int = 200,
     network: Callable[[ModelSpec], nn.Module] = multi_branch_net,
     clips: Sequence[Clip] = (),
+    machine: Machine | None = None,
 ) -> nn.Module:
     """Train until the recipe's last step; resumes from ``out`` if it holds a checkpoint.
 
@@ -147,6 +153,8 @@ def train_recurrent(
     clips
         What `load_clips` gave for the same data, to several trainings; loaded here if there are
         none.
+    machine
+        What it runs on; None: this process and its processor.
 
     Raises
     ------
@@ -155,23 +163,24 @@ def train_recurrent(
         belongs to another spec.
     """
     sequences = sequences_in(data)
-    recipe = spec.training
+    recipe, machine = spec.training, machine or Machine()
     torch.manual_seed(recipe.seed)
     learner = network(spec)
-    run = Run(spec, learner, sequences, out)
+    run = Run(spec, learner, sequences, out, machine.device, machine.minutes)
     if start is not None:
         run.start_from(start)
-    sampler = ClipSampler(list(clips) or load_clips(data, spec), spec)
+    sampler = ClipSampler(list(clips) or load_clips(data, spec, machine), spec)
+    batches = Batches(sampler.batch, recipe.steps, machine)
     with progress_bar() as progress:
         return run.finish(
-            lambda step: sequence_loss(learner, sampler.batch(step), spec, step / recipe.steps),
+            lambda step: sequence_loss(learner, batches(step), spec, run.done),
             progress,
             most_gradient=_MOST_GRADIENT,
             save_every=save_every,
         )
 
 
-def load_clips(data: list[Path], spec: ModelSpec) -> list[Clip]:
+def load_clips(data: list[Path], spec: ModelSpec, machine: Machine | None = None) -> list[Clip]:
     """The clips of all sequences of some folders.
 
     Raises
@@ -180,8 +189,6 @@ def load_clips(data: list[Path], spec: ModelSpec) -> list[Clip]:
         There are no finished sequences, or one lacks what the model learns from.
     """
     sequences = sequences_in(data)
+    loaded = (machine or Machine()).made(partial(load_clip, spec=spec, strips=Strips(1)), sequences)
     with progress_bar() as progress:
-        return [
-            load_clip(sequence, spec, Strips(1))
-            for sequence in progress.track(sequences, description="load")
-        ]
+        return list(progress.track(loaded, total=len(sequences), description="load"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import torch
@@ -10,9 +11,9 @@ from torch.nn import functional as F
 
 from stillray.families.feature_reconstruction import Rules
 from stillray.families.target_planes import FARTHEST, MOST_LIGHT, MU, PERIODS
-from stillray.stages.features import REC709
 from stillray.stages.reproject import LEAST_BLUR
 from stillray_training.decoders.feature_filters import Enlarged, Remembered, reconstruct
+from stillray_training.decoders.luminance import luminance
 
 
 def step(
@@ -77,8 +78,9 @@ def step(
 def warped(images: Tensor, positions: Tensor, mode: str = "bilinear") -> Tensor:
     """Images at positions ``(n, h, w, 2)`` within them, pixels."""
     height, width = images.shape[2:]
-    most = positions.new_tensor([max(width - 1, 1), max(height - 1, 1)])
-    at = positions * (2 / most) - 1
+    # numbers, not a tensor of them: a device would wait for it
+    sides = zip(positions.unbind(-1), (width, height), strict=True)
+    at = torch.stack([place * (2 / max(side - 1, 1)) for place, side in sides], -1) - 1
     return F.grid_sample(images, at, mode=mode, padding_mode="border", align_corners=True)
 
 
@@ -100,7 +102,7 @@ def sharpness(images: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:
     contrast : (n, 1, h, w)
         The brightest of the four pixels around over the darkest.
     """
-    light = _luminance(images)
+    light = luminance(images)
     around = F.pad(light, (0, 1, 0, 1), mode="replicate")
     most, least = F.max_pool2d(around, 2, 1), -F.max_pool2d(-around, 2, 1)
     # of one channel OpenCV's places are 1/32 pixel apart
@@ -109,11 +111,6 @@ def sharpness(images: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:
     least, most = (warped(limit, corner, "nearest") for limit in (least, most))
     factor = torch.clamp(cubic, least, most) / warped(light, positions).clamp(min=1e-30)
     return factor, most / least.clamp(min=1e-30)
-
-
-def _luminance(images: Tensor) -> Tensor:
-    weights = torch.as_tensor(REC709[0]).to(images)[:, None, None]
-    return (images[:, :3] * weights).sum(1, keepdim=True)
 
 
 def look_blur(positions: Tensor) -> Tensor:
@@ -175,4 +172,4 @@ def network_planes(frame: Mapping[str, Tensor], past: Remembered, names: Sequenc
 
 def _tone_mapped(radiance: Tensor, exposure: Tensor) -> Tensor:
     exposed = (radiance * exposure).clamp(max=MOST_LIGHT)
-    return (exposed * MU).log1p() / torch.log1p(exposed.new_tensor(MU))
+    return (exposed * MU).log1p() / math.log1p(MU)
