@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from safetensors.torch import load_file
 from stillray.errors import InputError
 from stillray_training.checkpoint import CHECKPOINT
 from stillray_training.machine import Batches, Machine
-from stillray_training.upscaling.loop import train_recurrent
+from stillray_training.upscaling import loop
 from tests.training.test_upscaling import render, small
 
 
@@ -60,7 +61,7 @@ def test_a_training_with_workers_gives_the_same_weights(tmp_path: Path) -> None:
     spec = small(steps=2, batch=2, patch=16, frames=2)
     for workers in (0, 2):
         out = tmp_path / str(workers)
-        train_recurrent(spec, [tmp_path / "data"], out, machine=Machine(workers=workers))
+        loop.train_recurrent(spec, [tmp_path / "data"], out, machine=Machine(workers=workers))
     alone, helped = (load_file(tmp_path / part / CHECKPOINT) for part in ("0", "2"))
     for name, weights in alone.items():
         torch.testing.assert_close(helped[name], weights, rtol=0, atol=0)
@@ -71,9 +72,26 @@ def test_a_training_is_done_when_its_time_is_over(tmp_path: Path) -> None:
     spec = small(steps=10**9, batch=1, patch=16, frames=2)
     began = time.monotonic()
     machine = Machine(minutes=0.01)
-    train_recurrent(spec, [tmp_path / "data"], tmp_path / "run", machine=machine)
+    loop.train_recurrent(spec, [tmp_path / "data"], tmp_path / "run", machine=machine)
     assert time.monotonic() - began < 60
     assert (tmp_path / "run" / CHECKPOINT).is_file()
+
+
+def test_a_step_without_a_finite_gradient_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    render(tmp_path / "data" / "plane-0-0")
+    spec = small(steps=4, batch=1, patch=16, frames=2, average=0.9)
+    right, calls = loop.sequence_loss, iter(range(4))
+
+    def wrong_once(*given: Any) -> torch.Tensor:
+        # infinite: 1 / 0
+        return right(*given) / (next(calls) != 2)
+
+    monkeypatch.setattr(loop, "sequence_loss", wrong_once)
+    loop.train_recurrent(spec, [tmp_path / "data"], tmp_path / "run")
+    weights = load_file(tmp_path / "run" / CHECKPOINT)
+    assert all(torch.isfinite(value).all() for value in weights.values())
 
 
 @pytest.mark.parametrize(

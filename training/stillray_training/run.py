@@ -47,6 +47,8 @@ class Run:
         The running mean of the weights, which is kept; the network itself if the recipe has none.
     step
         How many are done.
+    dropped
+        How many of those have changed nothing, since their gradient was not finite.
 
     Raises
     ------
@@ -70,6 +72,7 @@ class Run:
         self.average = copy.deepcopy(network) if spec.training.average else network
         out.mkdir(parents=True, exist_ok=True)
         self.step = restore(out / CHECKPOINT, spec, network, self._optimiser, self.average)
+        self.dropped = 0
         forget_after(out / LOG, self.step)
         record_data(out, sequences)
 
@@ -121,12 +124,14 @@ class Run:
             progress.advance(task)
             if self.step % LOG_EVERY == 0:
                 seconds = time.monotonic() - self._began
-                log_loss(self._out / LOG, self.step, float(torch.stack(losses).mean()), seconds)
+                log_loss(self._out / LOG, self.step, float(torch.stack(losses).nanmean()), seconds)
                 losses = []
             if self.step % save_every == 0:
                 self._save()
         if self.step % save_every:
             self._save()
+        if self.dropped:
+            progress.console.print(f"{self.dropped} steps were dropped: no finite gradient")
         return self.average
 
     def _learn(self, loss: Tensor, most_gradient: float) -> Tensor:
@@ -136,7 +141,10 @@ class Run:
         self._optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         if most_gradient < float("inf"):
-            torch.nn.utils.clip_grad_norm_(self._network.parameters(), most_gradient)
+            norm = torch.nn.utils.clip_grad_norm_(self._network.parameters(), most_gradient)
+            if not torch.isfinite(norm):  # one such step, and nothing is left of the weights
+                self.dropped += 1
+                return loss.new_full((), torch.nan)
         self._optimiser.step()
         if self.average is not self._network:
             decay = min(self._spec.training.average, self.step / (self.step + 10))
