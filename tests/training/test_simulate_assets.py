@@ -34,7 +34,11 @@ MATRIX = "1 0 0 0 0 1 0 0.25 0 0 1 0 0 0 0 1"
 MOVED = f'<transform name="to_world"><matrix value="{MATRIX}"/></transform>'
 
 
-def write_asset(folder, name="chair", kind="furniture", more=""):
+ROUGH = """<texture type="bitmap" name="roughness"><string name="filename" value="r.png"/>
+        <boolean name="raw" value="true"/></texture>"""
+
+
+def write_asset(folder, name="chair", kind="furniture", more="", scene=SCENE):
     """A square of 1 m that stands on y = 0 and faces +z, its normals bent to the right."""
     here = folder / name
     here.mkdir(parents=True)
@@ -46,7 +50,8 @@ def write_asset(folder, name="chair", kind="furniture", more=""):
     faces = b"".join(b"\x03" + np.array(f, "<i4").tobytes() for f in ((0, 1, 2), (0, 2, 3)))
     (here / "mesh.ply").write_bytes(head.encode() + np.array(rows, "<f4").tobytes() + faces)
     cv2.imwrite(str(here / "n.png"), np.full((2, 2, 3), (217, 128, 217), np.uint8))
-    (here / "asset.xml").write_text(SCENE.format(more=more))
+    cv2.imwrite(str(here / "r.png"), np.full((2, 2), 128, np.uint8))
+    (here / "asset.xml").write_text(scene.format(more=more))
     facts = {"name": name, "title": "A Square", "kind": kind, "author": "A. Nyone",
              "licence": "CC BY 4.0", "source": "https://example.org/square"}  # fmt: skip
     (here / "asset.json").write_text(json.dumps(facts))
@@ -72,6 +77,19 @@ def test_an_asset_shows_its_colour_and_the_normals_of_its_map(mi, tmp_path):
     # (217, 128, 217) of 255 is 45 degrees to the right
     expected = np.array([0.7071, 0.0028, 0.7071])
     np.testing.assert_allclose(layers["normal"][inside], [expected] * inside.sum(), atol=0.01)
+
+
+def test_the_roughness_of_a_picture_of_bytes_is_a_share(mi, tmp_path):
+    rough = SCENE.replace('<float name="roughness" value="0.5"/>', ROUGH)
+    assert ROUGH in rough
+    b = Home([1], Library(write_asset(tmp_path, scene=rough)))
+    b.place_asset(b.library.get("chair"), translation([0, 0, 0]), np.ones(3), "")
+    world = World(label="one", pieces=b.pieces, sky=Sky())
+    layers = noisy(mi, world, ("environment",), spp=4, guides=("roughness",))
+    seen = np.abs(layers["albedo"][..., 0] - 0.6) < 0.01
+    assert seen.sum() >= 5
+    # Disney's material squares it
+    np.testing.assert_allclose(layers["roughness"][seen], (128 / 255) ** 2, atol=0.002)
 
 
 def test_the_transform_of_a_shape_moves_its_mesh(tmp_path):

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -52,7 +53,7 @@ class Clip:
 _SWITCHED = 0.25  # share of the changes of light that are of all of it at once
 _BLACK = 0.3  # share of painted patches whose light is not painted
 _WANDERING = 0.5  # share of fireflies that come a pixel on with every frame
-_GUIDES = ("albedo", "normal", "roughness", "specular_albedo")
+_GUIDES = ("motion", "depth", "albedo", "normal", "roughness", "specular_albedo")
 #: A frame of a patch: arrays by name, channels first.
 Sample = dict[str, np.ndarray]
 
@@ -72,19 +73,10 @@ def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
     exposures: list[float] = []
     units: list[float] = []
     for path in frame_paths(sequence):
-        frame = read_exr(path)
-        number = int(path.stem.split("_")[1])
-        motion, depth, rough, glossy = (
-            frame.motion, frame.depth, frame.roughness, frame.specular_albedo
-        )  # fmt: skip
-        if motion is None or depth is None or rough is None or glossy is None or _bare(frame):
-            raise InputError(f"{path}: must have motion, depth and {', '.join(_GUIDES)}")
-        # as the runtime hands them on
-        rough, glossy = (repair_feature(guide, 0.0, 1.0) for guide in (rough, glossy))
-        frame = replace(frame, roughness=rough, specular_albedo=glossy)
-        if frame.jitter is None:
-            jitter = np.array(record["cameras"][number]["jitter"], np.float32)
-            frame = replace(frame, jitter=jitter)
+        frame = _frame(path, record)
+        motion, depth = frame.motion, frame.depth
+        assert motion is not None
+        assert depth is not None
         own = features.frame_exposure(features.luminance(frame.color), spec.transfer)
         if exposures:
             own = features.steady_exposure(own, exposures[-1], spec.transfer)
@@ -92,14 +84,27 @@ def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
         color = bounded(frame.color, own, spec.transfer, spec.temporal)
         frame = replace(frame, color=color, motion=dilated(motion, depth, strips))
         frames.append(frame)
-        references.append(_reference(sequence, number, frame, spec.decoder.scale))
+        references.append(_reference(sequence, _number(path), frame, spec.decoder.scale))
         units.append(features.depth_scale(depth))
     return Clip(frames=frames, references=references, exposures=exposures, depth_units=units)
 
 
-def _bare(frame: Frame) -> bool:
-    """Whether a frame lacks what the network is steered by."""
-    return not frame.given.issuperset(_GUIDES)
+def _frame(path: Path, record: dict[str, Any]) -> Frame:
+    """A frame with every guide, repaired as the runtime hands them on, and its jitter."""
+    frame = read_exr(path)
+    rough, glossy = frame.roughness, frame.specular_albedo
+    if rough is None or glossy is None or not frame.given.issuperset(_GUIDES):
+        raise InputError(f"{path}: must have {', '.join(_GUIDES)}")
+    rough, glossy = (repair_feature(guide, 0.0, 1.0) for guide in (rough, glossy))
+    frame = replace(frame, roughness=rough, specular_albedo=glossy)
+    if frame.jitter is not None:
+        return frame
+    jitter = record["cameras"][_number(path)]["jitter"]
+    return replace(frame, jitter=np.array(jitter, np.float32))
+
+
+def _number(path: Path) -> int:
+    return int(path.stem.split("_")[1])
 
 
 def _reference(sequence: Path, number: int, frame: Frame, scale: int) -> Frame:
