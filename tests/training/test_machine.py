@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
 from safetensors.torch import load_file
 
 from stillray.errors import InputError
+from stillray.model_spec import from_json
 from stillray_training.checkpoint import CHECKPOINT
 from stillray_training.machine import Batches, Machine
 from stillray_training.upscaling import loop
@@ -56,6 +58,20 @@ def test_other_processes_do_the_work() -> None:
     assert list(machine.made(lambda item: item * "x", [3, 1, 2])) == ["xxx", "x", "xx"]
 
 
+@pytest.mark.parametrize("workers", [0, 2])
+def test_what_is_refused_is_told_alike(workers: int) -> None:
+    def refuse(item: int) -> int:
+        if item == 2:
+            raise InputError("item must not be 2, got 2")
+        return item
+
+    made = Machine(workers=workers).made(refuse, range(4))
+    assert [next(made), next(made)] == [0, 1]
+    with pytest.raises(InputError) as refusal:
+        next(made)
+    assert str(refusal.value) == "item must not be 2, got 2"
+
+
 def test_a_training_with_workers_gives_the_same_weights(tmp_path: Path) -> None:
     render(tmp_path / "data" / "plane-0-0")
     spec = small(steps=2, batch=2, patch=16, frames=2)
@@ -74,7 +90,10 @@ def test_a_training_is_done_when_its_time_is_over(tmp_path: Path) -> None:
     machine = Machine(minutes=0.01)
     loop.train_recurrent(spec, [tmp_path / "data"], tmp_path / "run", machine=machine)
     assert time.monotonic() - began < 60
-    assert (tmp_path / "run" / CHECKPOINT).is_file()
+    with safe_open(tmp_path / "run" / CHECKPOINT, framework="pt") as file:
+        told = file.metadata()
+    # so many steps are the recipe that made it
+    assert from_json(told["spec"]).training.steps == int(told["step"]) > 0
 
 
 def test_a_step_without_a_finite_gradient_changes_nothing(

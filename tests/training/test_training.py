@@ -265,7 +265,9 @@ def test_training_lowers_the_loss_and_resumes_where_it_stopped(data, small, tmp_
     # the learning rate follows the recipe's length: keep it, stop early
     original = run.learning_rate
     try:
-        run.learning_rate = lambda step, _: original(step, small)
+        run.learning_rate = lambda step, _, __: original(
+            step, step / small.training.steps, small.training
+        )
         patch_training.train(half, [data], tmp_path / "parts", save_every=10)
         resumed = patch_training.train(small, [data], tmp_path / "parts", save_every=10)
     finally:

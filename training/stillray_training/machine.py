@@ -76,19 +76,24 @@ class Machine:
         return _HAS_BFLOAT16 if self.device.type == "cpu" else True
 
     def made(self, function: Callable[[Item], Made], items: Sequence[Item]) -> Iterator[Made]:
-        """A function of each item, in order, by all workers; they see this process as it is now."""
+        """A function of each item, in order, by all workers; they see this process as it is now.
+
+        Raises
+        ------
+        InputError
+            As the function's own: what else a process raises comes with its trace.
+        """
         if not self.workers:
             return map(function, items)
-        return iter(
-            DataLoader(
-                _Calls(function, items),
-                batch_size=None,
-                collate_fn=_as_it_is,
-                num_workers=min(self.workers, max(len(items), 1)),
-                pin_memory=self.device.type == "cuda",
-                multiprocessing_context="fork",
-            )
+        loader = DataLoader(
+            _Calls(function, items),
+            batch_size=None,
+            collate_fn=_as_it_is,
+            num_workers=min(self.workers, max(len(items), 1)),
+            pin_memory=self.device.type == "cuda",
+            multiprocessing_context="fork",
         )
+        return _accepted(iter(loader))
 
 
 class Batches:
@@ -163,7 +168,7 @@ class _Packed:
 
 
 class _Calls(Dataset[Any]):
-    """What a function makes of items."""
+    """What a function makes of items, or how it refuses one."""
 
     def __init__(self, function: Callable[[Any], Any], items: Sequence[Any]) -> None:
         self._function, self._items = function, items
@@ -172,7 +177,17 @@ class _Calls(Dataset[Any]):
         return len(self._items)
 
     def __getitem__(self, index: int) -> Any:
-        return self._function(self._items[index])
+        try:
+            return self._function(self._items[index])
+        except InputError as error:  # raised here, it would be told with its trace
+            return error
+
+
+def _accepted(found: Iterator[Any]) -> Iterator[Any]:
+    for made in found:
+        if isinstance(made, InputError):
+            raise made
+        yield made
 
 
 def _room(shape: Sequence[int]) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import json
 import sys
 import time
@@ -128,7 +129,11 @@ class Run:
                 losses = []
             if self.step % save_every == 0:
                 self._save()
-        if self.step % save_every:
+        if self.step < recipe.steps:  # time has ended it: so many steps are the recipe
+            recipe = dataclasses.replace(recipe, steps=self.step)
+            self._spec = dataclasses.replace(self._spec, training=recipe)
+            self._save()
+        elif self.step % save_every:
             self._save()
         if self.dropped:
             progress.console.print(f"{self.dropped} steps were dropped: no finite gradient")
