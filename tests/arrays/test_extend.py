@@ -14,7 +14,7 @@ def test_planes_are_surrounded_by_their_outermost_pixels(rng, pixels, reach, mor
     expected = np.pad(planes, [(0, 0), (0, 0), *((reach, end) for end in more)], mode="edge")
     found = np.full_like(expected, np.nan)
     strips = Strips(2, pixels=pixels)
-    strips.run(lambda rows: surround(planes, found, reach, rows), *found.shape[2:])
+    strips.run(lambda rows: surround(planes, found[..., rows, :], reach, rows), *found.shape[2:])
     np.testing.assert_array_equal(found, expected)
 
 

@@ -10,8 +10,8 @@ pytest.importorskip("onnx")
 from stillray.families.filter_network import split as split_arrays  # noqa: E402
 from stillray.families.online import THINNED  # noqa: E402
 from stillray.families.online_learning import CROP  # noqa: E402
+from stillray.models.network import Network  # noqa: E402
 from stillray.models.registry import find_model, steps_of  # noqa: E402
-from stillray.models.session import Network  # noqa: E402
 from stillray_export.online import layout_of  # noqa: E402
 from stillray_training.networks.filter_parameters import (  # noqa: E402
     Differentiable,

@@ -8,8 +8,8 @@ import pytest
 from stillray.arrays.strips import Strips
 from stillray.families.contract import Context, Layer, Request
 from stillray.families.registry import kernels_of
+from stillray.models.network import Network
 from stillray.models.registry import find_model
-from stillray.models.session import Network
 from tests.conftest import make_frame
 
 SIZE = (97, 86)  # large enough for changes of light to be told; whole blocks of nothing

@@ -1,11 +1,18 @@
 """Files of models that learn: their weights may be given anew, and nothing else is let in."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 onnx = pytest.importorskip("onnx")
 
+from onnx.reference import ReferenceEvaluator  # noqa: E402
+
 from stillray.errors import InputError  # noqa: E402
+from stillray.models.network import Network  # noqa: E402
+from stillray.models.onnx_file import with_constants  # noqa: E402
 from stillray.models.registry import find_model, steps_of  # noqa: E402
 
 
@@ -94,3 +101,57 @@ def test_a_file_of_ones_own_is_taken(tmp_path):
 def test_families_that_learn_alone_have_a_step():
     assert steps_of("kernel-pyramid") == {}
     assert steps_of("cross-regression")["train_step"].is_file()
+
+
+def network_of(path, **options):
+    return Network(path, threads=1, providers=None, **options)
+
+
+def test_weights_are_taken_anew_whenever_they_change(rng):
+    """As the reference of ONNX runs the file, which has them as inputs."""
+    path = find_model("online").path
+    file = onnx.load(str(path))
+    reference = ReferenceEvaluator(file)
+    features = rng.random((1, 15, 12, 20)).astype(np.float32)
+    held = {t.name: onnx.numpy_helper.to_array(t) for t in file.graph.initializer}
+    weights = {source.name: held[source.name] for source in file.graph.input[1:]}
+    others = {n: rng.normal(0, 0.2, w.shape).astype(np.float32) for n, w in weights.items()}
+    one = {"out.bias": np.full_like(weights["out.bias"], 3)}
+    network = network_of(path)
+    for given in ({}, others, others, weights, one, {}):
+        inputs = {"features": features, **given}
+        (expected,) = reference.run(None, inputs)
+        found = network.run("network", inputs)["parameters"]
+        np.testing.assert_allclose(found, expected[0], rtol=1e-3, atol=1e-3)
+    for values in others.values():  # what was given is not held on to
+        values[:] = 0
+    assert np.ptp(network.run("network", {"features": features, **others})["parameters"]) == 0
+    network.close()
+
+
+def test_weights_are_constants_and_nothing_else_of_the_file_changes():
+    data = find_model("online-warm").path.read_bytes()
+    before = onnx.load_from_string(data)
+    names = [source.name for source in before.graph.input[1:]]
+    after = onnx.load_from_string(with_constants(data, names, {}))
+    assert [source.name for source in after.graph.input] == ["features"]
+    after.graph.input.extend(before.graph.input[1:])
+    assert after == before
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="tells memory in use on Linux")
+def test_a_network_that_is_closed_gives_its_memory_back():
+    def used():  # MiB
+        return (
+            int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") >> 20
+        )
+
+    features = np.zeros((1, 15, 1024, 1024), np.float32)
+    network_of(find_model("online").path).close()
+    before = used()
+    network = network_of(find_model("online").path)
+    network.run("network", {"features": features})
+    held = used() - before
+    network.close()
+    assert held > 150
+    assert used() - before < held / 3

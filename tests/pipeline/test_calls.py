@@ -13,7 +13,7 @@ import stillray
 from stillray.arrays import srgb
 from stillray.arrays.strips import Strips
 from stillray.frame import Frame
-from stillray.models import session
+from stillray.models import network
 from stillray.pipeline import denoiser as pipeline
 from stillray.profiling.synthetic import swing
 from stillray_training.cancel_latency import UNLISTED, gaps, stream
@@ -67,7 +67,7 @@ def with_alpha(frame):
 def test_a_frame_can_be_ended_at_every_one_of_many_looks(what, in_strips, monkeypatch):
     """No part of a frame goes as a whole: of a large one it would take long."""
     # a network is looked at as long as it runs: on a busy machine once more or less each time
-    monkeypatch.setattr(session, "INTERVAL", 60.0)
+    monkeypatch.setattr(network, "INTERVAL", 60.0)
     model = what if what in UNLISTED else "fast"
     change = {"broken": broken, "alpha": with_alpha}.get(what, lambda frame: frame)
     options = {
@@ -157,19 +157,18 @@ def test_what_progress_raises_comes_out_and_the_denoiser_goes_on():
 def test_a_network_that_nobody_wants_any_more_is_not_waited_for(monkeypatch):
     entered, release = threading.Event(), threading.Event()
     frame = make_frame(*SHAPE)
-    opened = session.start_session
+    opened = network.start_session
 
     class Slow:
         def __init__(self, *arguments, **options):
             self.session = opened(*arguments, **options)
-            self.get_outputs = self.session.get_outputs
 
         def run(self, *arguments):
             entered.set()
             assert release.wait(60)
             return self.session.run(*arguments)
 
-    monkeypatch.setattr(session, "start_session", Slow)
+    monkeypatch.setattr(network, "start_session", Slow)
     with stillray.Denoiser("fast", threads=1) as denoiser:
         try:
             with pytest.raises(stillray.Cancelled):

@@ -78,7 +78,7 @@ def test_references_teach(tmp_path):
     lessons = list(lessons_of(render(tmp_path / "room-0-0"), weights.numpy()))
     assert all(isinstance(lesson, Taught) for lesson in lessons)
     _, first = teach(weights, lessons, LAYOUT, steps=2, rate=0.0, seed=0)
-    taught, _ = teach(weights, lessons, LAYOUT, steps=40, rate=5e-3, seed=0)
+    taught, _ = teach(weights, lessons, LAYOUT, steps=120, rate=5e-3, seed=0)
     _, last = teach(taught, lessons, LAYOUT, steps=2, rate=0.0, seed=0)
     assert last < 0.9 * first
 

@@ -49,22 +49,23 @@ def extended(image: np.ndarray, out: np.ndarray, strips: Strips) -> np.ndarray:
     return out
 
 
-def surround(planes: np.ndarray, out: np.ndarray, reach: int, rows: slice) -> None:
+def surround(planes: np.ndarray, target: np.ndarray, reach: int, rows: slice) -> None:
     """Some rows of planes that are carried on by their outermost pixels, on every side.
 
     Parameters
     ----------
     planes : (..., h, w) float32
-    out : (..., H, W) float32
-        Written in those rows.
+    target : (..., rows, W) float32
+        Written.
     reach
-        Where the planes begin in ``out``: rows from its top, columns from its left.
+        Where the planes begin: rows from the top of what they are carried on to, columns from its
+        left.
     rows
-        Of ``out``.
+        Which of its rows ``target`` is.
     """
     height, width = planes.shape[-2:]
     source = np.clip(np.arange(rows.start, rows.stop) - reach, 0, height - 1)
-    target, end = out[..., rows, :], reach + width
+    end = reach + width
     target[..., reach:end] = planes[..., source, :]
     target[..., :reach] = target[..., reach : reach + 1]
     target[..., end:] = target[..., end - 1 : end]

@@ -103,14 +103,11 @@ def cross_bilateral_cost(neighbours: int) -> tuple[float, float]:
     return (neighbours - 1) * each + 5 * 3 + 2 * 3 * 2 + EXP + 3 * 2, 4 * 3 + 6 + 3 + 1 + 3
 
 
-def cross_regression_cost(
-    window: int, spacing: int, variables: int, guides: int
-) -> tuple[float, float]:
-    """The same of lines fitted to both halves, in a window around one pixel in ``spacing**2``."""
+def cross_regression_cost(lines: int, variables: int, guides: int) -> tuple[float, float]:
+    """The same of lines fitted to both halves, so many of which speak of a pixel."""
     # how far guides are apart serves both halves
     alike = 3 * guides
     # weights by color, three variables of it; normal equations of three channels; what lines say
     products = 2 * variables * (variables + 3)
     each = 3 * 3 + 4 + EXP + 2 + 3 * 2 + products + 2 * 3 * variables + 2 * 4
-    share = window**2 / spacing**2  # windows that a pixel lies in
-    return share * (alike + 2 * each) + 2 * (9 * 2 + 3 * 4), 2 * 3 + guides + 2 * 3
+    return lines * (alike + 2 * each) + 2 * (9 * 2 + 3 * 4), 2 * 3 + guides + 2 * 3

@@ -130,8 +130,8 @@ def _interleaved(estimates: Estimates, strips: Strips) -> np.ndarray:
     by_group = planes[1:-1].transpose(2, 1, 0, 3)
 
     def carry_on(rows: slice) -> None:
-        surround(estimates.values, by_group[:2], _REACH, rows)
-        surround(estimates.guides, by_group[2:], _REACH, rows)
+        surround(estimates.values, by_group[:2, :, rows], _REACH, rows)
+        surround(estimates.guides, by_group[2:, :, rows], _REACH, rows)
 
     strips.run(carry_on, *size, pixels=STRIP_PIXELS // 4)
     return planes

@@ -1,11 +1,16 @@
 """Cross-regression (Choi et al. 2024, section 4.1): pilot estimates from two halves of the samples.
 
-Around one pixel in 49 one half's radiance, albedo and normals explain the other half's
-radiance, by a line that is fitted in a window; what the lines say of a pixel is blended. The noise
-of the half that explains is not that of the half that is explained, so that it is not copied.
+Around one pixel in 36 one half's radiance and normals explain the other half's radiance, by a
+line that is fitted in a window; what the lines say of a pixel is blended. The noise of the half
+that explains is not that of the half that is explained, so that it is not copied.
+
+A frame is cut into tiles of 6x6 pixels. Lines belong to the upper borders of tiles: that tile, the
+one above, and those at either side are a line's window, and six lines speak of each pixel.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -15,13 +20,17 @@ from stillray.arrays.strips import STRIP_PIXELS, Strips, with_halo
 from stillray.arrays.workspace import Workspace
 from stillray.models.products import products
 
-WINDOW = 17  # pixels, odd (section 3)
-# Pixels from center to center. differs: one pixel in 16 (section 3); one in 49 takes a third of the
-# time (docs/decisions.md).
-SPACING = 7
-_REACH = WINDOW // 2
-_PIXELS = WINDOW**2
-_APART = -(-WINDOW // SPACING)  # centers whose windows do not overlap
+# Pixels from center to center. differs: one pixel in 16 (section 3); here one in 36.
+SPACING = 6
+# differs: windows of 17x17 pixels (section 3); here of tiles, 12 pixels high and 18 wide, which are
+# taken as they lie (docs/decisions.md).
+_DOWN, ACROSS = 2, 3
+#: Lines that speak of a pixel.
+LINES = _DOWN * ACROSS
+_RANGE = 8  # pixels to each side, within whose range a pilot stays
+_TILE = SPACING**2  # pixels
+_PIXELS = LINES * _TILE
+_MIDDLE = SPACING // 2  # of a tile's first row: where the center is in the lower middle tile
 # Epsilon of eq. 6, in log radiance, and its square for eq. 7: noise that no eye sees.
 _NOISE = np.float32(0.01)
 # Tikhonov: the mean square that an explanatory variable must have in a window, in its own unit, to
@@ -31,18 +40,68 @@ RIDGE = 1e-3
 #: it, lines of others are drawn on far beyond what they were fitted to.
 ALONE = np.float32(0.1)
 _LEAST_WEIGHT = 1e-6  # of a window, in pixels: outside of frames there is nothing to fit
-# Centers in a row whose windows are taken out at once, and rows of centers whose windows are added
-# up at once: constants, as sums must not depend on strips.
+_FAR = np.float32(1e4)  # as a square, of pixels that are not of the frame: they weigh nothing
+# Centers in a row whose lines are fitted at once: a constant, as sums must not depend on strips.
 _CENTERS = 256
-_ROWS = 4
+_ROWS = 20  # of tiles in a strip, at most: one more row of centers is fitted for each
 _COLORS = 3
 
 
-def pilots(first: np.ndarray, second: np.ndarray, guides: np.ndarray, strips: Strips) -> np.ndarray:
+@dataclass(frozen=True, eq=False)
+class Guides:
+    """What both halves of the samples share.
+
+    Attributes
+    ----------
+    planes : (g, h, w) float32
+        Albedo, normals; g may be 0.
+    units : (g,) float32
+        Differences at which a pixel counts 1/e.
+    explaining
+        How many of them, the last ones, explain light besides (eq. 6).
+    """
+
+    planes: np.ndarray
+    units: np.ndarray
+    explaining: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Tiles:
+    """Two rows of tiles, between which centers lie, and a tile more on either side.
+
+    Attributes
+    ----------
+    planes : (2, planes, columns + 2, pixels) float32
+        Color and `deviation` of the first half, those of the second, guides in their units, and
+        last `_FAR` around the frame; there the others are as the pixels at its edge. Each plane of
+        a row is one run of memory, so that a window's neighbouring tiles are, too.
+    guides, explaining
+        How many there are, and how many of them explain light.
+    """
+
+    planes: np.ndarray
+    guides: int
+    explaining: int
+
+    def windows(self, centers: range) -> np.ndarray:
+        """Windows of some centers, not copied: ``(count, planes, 2, pixels of a row)``."""
+        part = self.planes[:, :, centers.start :]
+        of_row, of_plane, of_tile, of_pixel = part.strides
+        shape = len(centers), part.shape[1], _DOWN, ACROSS * _TILE
+        return np.lib.stride_tricks.as_strided(part, shape, (of_tile, of_plane, of_row, of_pixel))
+
+    def centers(self, centers: range) -> np.ndarray:
+        """The pixels at some centers, ``(count, planes, 1, 1)``."""
+        found = self.planes[1, :, centers.start + 1 : centers.stop + 1, _MIDDLE]
+        return np.ascontiguousarray(found.T)[..., None, None]
+
+
+def pilots(halves: tuple[np.ndarray, np.ndarray], guides: Guides, strips: Strips) -> np.ndarray:
     """Both pilot estimates (eq. 3 to 7).
 
-    A pilot is limited to the range of what it was fitted to, within the window around a pixel: a
-    line that is drawn on beyond its pixels invents light.
+    A pilot is limited to the range of what it was fitted to in the 17x17 pixels around: a line that
+    is drawn on beyond its pixels invents light.
 
     differs: weights are of colors alone (eq. 7); here pixels count less the more their guides
     differ, too. Beside a window that is many times as bright as its wall, the deviation of 3x3
@@ -50,11 +109,10 @@ def pilots(first: np.ndarray, second: np.ndarray, guides: np.ndarray, strips: St
 
     Parameters
     ----------
-    first, second : (3, h, w) float32
+    halves : two (3, h, w) float32
         The two halves of a frame's samples: log of one and exposed radiance.
-    guides : (g, h, w) float32
-        Albedo, normals: what both halves share, in units of a difference at which a pixel counts
-        1/e; g may be 0.
+    guides
+        Of as many pixels.
     strips
         Where the work runs.
 
@@ -64,49 +122,47 @@ def pilots(first: np.ndarray, second: np.ndarray, guides: np.ndarray, strips: St
         What the first half explains of the second, and the other way round; in the workspace of
         this thread.
     """
-    halves = (first, second)
-    height, width = first.shape[1:]
-    rows, columns = (-(-size // SPACING) for size in (height, width))
-    padded, shared = _surrounded(halves, guides, strips)
+    height, width = halves[0].shape[1:]
+    noise = _deviations(halves, strips)
+    rows, columns = (-(-extent // SPACING) for extent in (height, width))
+    found = strips.workspace.array("pilots", (2, *halves[0].shape))
 
-    def work(blocks: slice) -> list[np.ndarray]:
-        return [
-            _block(padded, shared, range(top, min(top + _ROWS, rows)), columns, strips)
-            for top in range(blocks.start * _ROWS, blocks.stop * _ROWS, _ROWS)
-        ]
+    def fit(some: slice) -> None:
+        count = 2 * (_COLORS + 1) + len(guides.planes) + 1
+        planes = strips.workspace.array("tiles", (_DOWN, count, columns + 2, _TILE))
+        tiles = _Tiles(planes, len(guides.planes), guides.explaining)
+        shape = (2, _COLORS + 1, columns + 2, _TILE)
+        said = strips.workspace.array("said", (_DOWN, *shape))
+        below = strips.workspace.array("said below", shape)
+        _cut(halves, noise, guides, some.start - 1, planes[1], strips.workspace)
+        for row in range(some.start, some.stop + 1):  # of centers, between two of tiles
+            strips.watch.look()
+            planes[0] = planes[1]
+            _cut(halves, noise, guides, row, planes[1], strips.workspace)
+            said.fill(0)
+            for left in range(0, columns, _CENTERS):
+                centers = range(left, min(left + _CENTERS, columns))
+                _say(tiles, centers, said, strips.workspace)
+            if row > some.start:
+                below += said[0]
+                _blend(below, halves, found, row - 1)
+            below[:] = said[1]
 
-    count = -(-rows // _ROWS)
-    parts = [part for some in strips.run(work, count, _ROWS * _PIXELS * columns) for part in some]
-    found = strips.workspace.array("pilots", (2, *first.shape))
+    # rows of centers between strips are fitted on either side
+    strips.run(fit, rows, _TILE * columns, pixels=_ROWS * _TILE * columns)
 
-    def finish(rows: slice) -> None:
-        sums = _summed(parts, rows, width)
-        near, inside = with_halo(rows, _REACH, height)
-        for total, own, other, estimate in zip(sums, halves, halves[::-1], found, strict=True):
-            total[:_COLORS] += ALONE * own[:, rows]
-            total[_COLORS] += ALONE
-            np.divide(total[:_COLORS], total[_COLORS], out=estimate[:, rows])
-            _limit(estimate[:, rows], other[:, near], inside)
+    def limit(part: slice) -> None:
+        near, inside = with_halo(part, _RANGE, height)
+        for estimate, other in zip(found, halves[::-1], strict=True):
+            _limit(estimate[:, part], other[:, near], inside)
 
-    strips.run(finish, height, width, pixels=STRIP_PIXELS // 4)
+    strips.run(limit, height, width, pixels=STRIP_PIXELS // 4)
     return found
 
 
-def _surrounded(
-    halves: tuple[np.ndarray, np.ndarray], guides: np.ndarray, strips: Strips
-) -> tuple[np.ndarray, np.ndarray]:
-    """What windows are taken from: as far as those of the centers reach, on every side.
-
-    Centers lie at 3, 10, 17, ...: beyond the last row or column they stand for it.
-
-    Returns
-    -------
-    padded : (2, 4, H, W) float32
-        Both halves, and the `deviation` of each.
-    shared : (g + 1, H, W) float32
-        Guides, and 1 within the frame, 0 around it.
-    """
-    height, width = halves[0].shape[1:]
+def _deviations(halves: tuple[np.ndarray, np.ndarray], strips: Strips) -> np.ndarray:
+    """The `deviation` of either half, ``(2, 1, h, w)``."""
+    _, height, width = halves[0].shape
     noise = strips.workspace.array("deviations", (2, 1, height, width))
 
     def estimate(rows: slice) -> None:
@@ -115,23 +171,47 @@ def _surrounded(
             target[0, rows] = deviation(half[:, near])[inside]
 
     strips.run(estimate, height, width)
-    size = [2 * _REACH + 1 + -(-extent // SPACING) * SPACING for extent in (height, width)]
-    of_halves = 2 * (_COLORS + 1)
-    planes = strips.workspace.array("surrounded", (of_halves + len(guides) + 1, *size))
-    padded = planes[:of_halves].reshape(2, _COLORS + 1, *size)
-    shared = planes[of_halves:]
+    return noise
 
-    def carry_on(rows: slice) -> None:
-        for half, deviated, target in zip(halves, noise, padded, strict=True):
-            surround(half, target[:_COLORS], _REACH, rows)
-            surround(deviated, target[_COLORS:], _REACH, rows)
-        surround(guides, shared[:-1], _REACH, rows)
-        shared[-1, rows] = 0
-        within = slice(max(rows.start, _REACH), min(rows.stop, _REACH + height))
-        shared[-1, within, _REACH : _REACH + width] = 1
 
-    strips.run(carry_on, size[0], size[1], pixels=STRIP_PIXELS // 4)
-    return padded, shared
+def _cut(
+    halves: tuple[np.ndarray, np.ndarray],
+    noise: np.ndarray,
+    guides: Guides,
+    row: int,
+    tiles: np.ndarray,
+    workspace: Workspace,
+) -> None:
+    """Cut a row of tiles out of a frame, -1 for the one above it, see `_Tiles.planes`."""
+    count, columns = tiles.shape[:2]
+    height, width = noise.shape[2:]
+    pixels = slice((row + 1) * SPACING, (row + 2) * SPACING)  # with those above the frame
+    part = workspace.array("row of pixels", (count, SPACING, columns * SPACING))
+    first = 0
+    for planes in (halves[0], noise[0], halves[1], noise[1], guides.planes):
+        surround(planes, part[first : first + len(planes)], SPACING, pixels)
+        first += len(planes)
+    part[2 * (_COLORS + 1) : -1] /= guides.units[:, None, None]
+    inside = np.arange(row * SPACING, row * SPACING + SPACING)
+    part[-1] = _FAR
+    part[-1, (inside >= 0) & (inside < height), SPACING : SPACING + width] = 0
+    by_tile = part.reshape(count, SPACING, columns, SPACING).transpose(0, 2, 1, 3)
+    tiles.reshape(*by_tile.shape)[...] = by_tile
+
+
+def _blend(
+    said: np.ndarray, halves: tuple[np.ndarray, np.ndarray], found: np.ndarray, row: int
+) -> None:
+    """A row of tiles of the estimates (eq. 5), of sums over lines ``(2, 4, columns + 2, n)``."""
+    height, width = found.shape[2:]
+    rows = slice(row * SPACING, min(row * SPACING + SPACING, height))
+    by_tile = said[:, :, 1:-1].reshape(2, _COLORS + 1, -1, SPACING, SPACING)
+    sums = by_tile.swapaxes(2, 3).reshape(2, _COLORS + 1, SPACING, -1)
+    for total, half, estimate in zip(sums, halves, found, strict=True):
+        total = total[:, : rows.stop - rows.start, :width]
+        total[:_COLORS] += ALONE * half[:, rows]
+        total[_COLORS] += ALONE
+        np.divide(total[:_COLORS], total[_COLORS], out=estimate[:, rows])
 
 
 def deviation(log_radiance: np.ndarray) -> np.ndarray:
@@ -155,124 +235,70 @@ def deviation(log_radiance: np.ndarray) -> np.ndarray:
     return np.sqrt(squares, out=squares)
 
 
-def _block(
-    padded: np.ndarray, shared: np.ndarray, rows: range, columns: int, strips: Strips
-) -> np.ndarray:
-    """Sums of eq. 5 over some rows of centers: ``(2, 4, h, w)``, of both halves."""
-    workspace = strips.workspace
-    height = SPACING * (len(rows) - 1) + WINDOW
-    start = SPACING * rows.start + SPACING // 2
-    near = slice(start, start + height)
-    # so wide that the last window lies in a whole stretch of `_add_columns`
-    sums = np.zeros((2, _COLORS + 1, height, shared.shape[2] + _APART * SPACING), np.float32)
-    for left in range(0, columns, _CENTERS):
-        count = min(_CENTERS, columns - left)
-        common, first, second = (
-            _columns(planes[:, near], left, count, name, workspace)
-            for name, planes in (("common", shared), ("first", padded[0]), ("second", padded[1]))
-        )
-        said = workspace.array("said", (2, count, _COLORS + 1, height, WINDOW))
-        said.fill(0)
-        for top in range(0, height - WINDOW + 1, SPACING):
-            strips.watch.look()  # a block takes long, and cutting it would add up in another order
-            seen = _windows(first, top), _windows(second, top)
-            _say(_windows(common, top), seen, _windows(said, top), workspace)
-        for half in range(2):
-            _add_columns(sums[half], said[half], left)
-    return sums
-
-
-def _say(
-    common: np.ndarray,
-    seen: tuple[np.ndarray, np.ndarray],
-    said: np.ndarray,
-    workspace: Workspace,
-) -> None:
-    """Fit lines in windows, and add what they say, weighed, and their weights.
+def _say(tiles: _Tiles, chosen: range, sums: np.ndarray, workspace: Workspace) -> None:
+    """Fit lines at some centers, and add what they say, weighed, and their weights.
 
     Parameters
     ----------
-    common : (count, g + 1, pixels) float32
-        Guides, and whether a pixel is of the frame.
-    seen : two (count, 4, pixels) float32
-        Both halves, and the deviation of each.
-    said : (2, count, 4, pixels) float32
-        What is added to.
+    tiles
+        Around the centers.
+    chosen
+        Which of a row.
+    sums : (2, 2, 4, columns + 2, pixels) float32
+        What is added to: in the tiles above and below, of either half.
     workspace
         Where what lines are fitted to lies: new memory would cost as much as the fit.
     """
-    count, planes = common.shape[:2]
-    explain = _COLORS + planes
+    count, explain = len(chosen), 1 + _COLORS + tiles.explaining
+    windows, centers = tiles.windows(chosen), tiles.centers(chosen)
+    size = windows.shape[2:]
     # what explains, 1, color and guides, then what is explained: one product gives all sums
-    shape = (count, explain + _COLORS, _PIXELS)
-    variables = workspace.array("explain and explained", shape)
+    variables = workspace.array("explain and explained", (count, explain + _COLORS, *size))
     weighed = workspace.array("weighed", (count, explain, _PIXELS))
+    guides = workspace.array("guides of windows", (count, tiles.guides, *size))
+    of_guides = slice(-1 - tiles.guides, -1)
+    np.subtract(windows[:, of_guides], centers[:, of_guides], out=guides)
+    apart = np.einsum("ncyx,ncyx->nyx", guides, guides)
+    apart += windows[:, -1]
     variables[:, 0] = 1
-    guides = variables[:, 1 + _COLORS : explain]
-    np.subtract(common[:, :-1], common[:, :-1, _PIXELS // 2, None], out=guides)
-    apart, inside = np.einsum("ncp,ncp->np", guides, guides), common[:, -1]
-    for half, sums in enumerate(said):
-        variables[:, explain:] = seen[1 - half][:, :_COLORS]
-        weights = _explain(seen[half], apart, variables)
-        weights *= inside
-        weighed[:, 0] = weights
-        np.multiply(variables[:, 1:explain], weights[:, None], out=weighed[:, 1:])
-        sums[:, :_COLORS] += _fit(variables, weighed) @ weighed
-        sums[:, _COLORS] += weights
+    variables[:, 1 + _COLORS : explain] = guides[:, tiles.guides - tiles.explaining :]
+    for half in range(2):
+        own, other = (slice(first, first + _COLORS + 1) for first in (4 * half, 4 - 4 * half))
+        variables[:, explain:] = windows[:, other][:, :_COLORS]
+        weights = _explain(windows[:, own], centers[:, own], apart, variables)
+        flat = variables.reshape(count, -1, _PIXELS)
+        weighed[:, 0] = weights.reshape(count, _PIXELS)
+        np.multiply(flat[:, 1:explain], weighed[:, :1], out=weighed[:, 1:])
+        # beside three colors the weights themselves
+        lines = np.zeros((count, _COLORS + 1, explain), np.float32)
+        lines[:, :_COLORS], lines[:, _COLORS, 0] = _fit(flat, weighed), 1
+        said = np.matmul(lines, weighed, out=workspace.array("of lines", (count, 4, _PIXELS)))
+        by_tile = said.reshape(count, _COLORS + 1, _DOWN, ACROSS, _TILE).transpose(2, 3, 1, 0, 4)
+        for beside in range(ACROSS):
+            at = slice(chosen.start + beside, chosen.stop + beside)
+            sums[:, half, :, at] += by_tile[:, beside]
 
 
-def _summed(parts: list[np.ndarray], rows: slice, width: int) -> np.ndarray:
-    """Sums of eq. 5 over all blocks, of rows of a frame: ``(2, 4, rows, width)``."""
-    sums = np.zeros((2, _COLORS + 1, rows.stop - rows.start, width), np.float32)
-    for index, part in enumerate(parts):  # from the top, whatever the rows
-        top = SPACING * _ROWS * index + SPACING // 2 - _REACH
-        first, last = max(rows.start, top), min(rows.stop, top + part.shape[2])
-        if first < last:
-            sums[:, :, first - rows.start : last - rows.start] += part[
-                :, :, first - top : last - top, _REACH : _REACH + width
-            ]
-    return sums
-
-
-def _columns(
-    planes: np.ndarray, left: int, count: int, name: str, workspace: Workspace
+def _explain(
+    planes: np.ndarray, centers: np.ndarray, apart: np.ndarray, variables: np.ndarray
 ) -> np.ndarray:
-    """Columns of pixels as wide as windows around some centers: ``(count, planes, h, 17)``.
-
-    A window of a column is one run of memory, of an array in the workspace.
-    """
-    views = np.lib.stride_tricks.sliding_window_view(planes, WINDOW, axis=2)
-    start = SPACING * left + SPACING // 2
-    chosen = views[:, :, start : start + SPACING * count : SPACING]  # (p, h, count, 17)
-    columns = workspace.array(name, (count, *planes.shape[:2], WINDOW))
-    np.copyto(columns, chosen.transpose(2, 0, 1, 3))
-    return columns
-
-
-def _windows(columns: np.ndarray, top: int) -> np.ndarray:
-    """Windows of `_columns` from some row on, not copied: ``(..., pixels)``."""
-    part = columns[..., top : top + WINDOW, :]
-    steps = (*part.strides[:-2], part.strides[-1])
-    return np.lib.stride_tricks.as_strided(part, (*part.shape[:-2], _PIXELS), steps)
-
-
-def _explain(planes: np.ndarray, apart: np.ndarray, variables: np.ndarray) -> np.ndarray:
-    """Fill in the color's variables (eq. 6); gives the weights (eq. 7), ``(count, pixels)``.
+    """Fill in the color's variables (eq. 6); gives the weights (eq. 7), ``(count, y, x)``.
 
     Parameters
     ----------
-    planes : (count, 4, pixels) float32
+    planes : (count, 4, y, x) float32
         A half, and its deviation.
-    apart : (count, pixels) float32
+    centers : (count, 4, 1, 1) float32
+        The same of the centers.
+    apart : (count, y, x) float32
         Squares of how far guides are from those of the center.
-    variables : (count, more than 4, pixels) float32
+    variables : (count, more than 4, y, x) float32
         The second to the fourth are written.
     """
-    middle = planes[..., _PIXELS // 2, None]
-    noise, own = planes[:, _COLORS], middle[:, _COLORS]
+    noise, own = planes[:, _COLORS], centers[:, _COLORS]
     colors = variables[:, 1 : 1 + _COLORS]
-    np.subtract(planes[:, :_COLORS], middle[:, :_COLORS], out=colors)
-    squares = np.einsum("ncp,ncp->np", colors, colors)
+    np.subtract(planes[:, :_COLORS], centers[:, :_COLORS], out=colors)
+    squares = np.einsum("ncyx,ncyx->nyx", colors, colors)
     variance = np.square(noise)
     variance += own**2 + _NOISE**2
     squares /= variance
@@ -308,23 +334,8 @@ def _fit(variables: np.ndarray, weighed: np.ndarray) -> np.ndarray:
     return lines.transpose(0, 2, 1).astype(np.float32)
 
 
-def _add_columns(sums: np.ndarray, said: np.ndarray, left: int) -> None:
-    """Add columns of what lines say, and of weights, at their places in rows of a block.
-
-    Columns so far apart that they do not overlap are added at once.
-    """
-    count, step = len(said), _APART * SPACING
-    planes = said.transpose(1, 2, 0, 3)
-    for first in range(min(_APART, count)):
-        number = len(range(first, count, _APART))
-        start = SPACING * (left + first) + SPACING // 2
-        # of each stretch a column takes the beginning
-        at = sums[..., start : start + step * number].reshape(*sums.shape[:2], number, step)
-        at[..., :WINDOW] += planes[:, :, first::_APART]
-
-
 def _limit(estimate: np.ndarray, explained: np.ndarray, inside: slice) -> None:
-    """Bring rows of a pilot within the range of what it was fitted to, around each pixel.
+    """Bring rows of a pilot within the range of what it was fitted to, near each pixel.
 
     Parameters
     ----------
@@ -335,7 +346,7 @@ def _limit(estimate: np.ndarray, explained: np.ndarray, inside: slice) -> None:
     inside
         Of the rows of ``explained``, those of ``estimate``.
     """
-    around = np.ones((WINDOW, WINDOW), np.uint8)
+    around = np.ones((2 * _RANGE + 1, 2 * _RANGE + 1), np.uint8)
     for plane, target in zip(estimate, explained, strict=True):
         cv2.min(plane, cv2.dilate(target, around)[inside], dst=plane)
         cv2.max(plane, cv2.erode(target, around)[inside], dst=plane)

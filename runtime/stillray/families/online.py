@@ -21,7 +21,7 @@ from stillray.families import filter_network
 from stillray.families.contract import Context, Engine, Request, State, Step, Traits
 from stillray.families.cost import cross_bilateral_cost, cross_regression_cost
 from stillray.families.cross_bilateral import Estimates, cross_bilateral, taps
-from stillray.families.cross_regression import SPACING, WINDOW, pilots
+from stillray.families.cross_regression import LINES, Guides, pilots
 from stillray.families.online_learning import Learned, Learner, Lesson
 from stillray.families.online_past import (
     Past,
@@ -47,6 +47,9 @@ _log = logging.getLogger("stillray")
 _COLORS = 3
 #: Differences of albedo and of normals at which a pixel counts 1/e in the regression.
 GUIDE_UNITS = np.array([0.15] * 3 + [0.5] * 3, np.float32)
+# Of the guides, those that explain light in the regression (differs: all): normals, the last three.
+# Light was divided by the albedo.
+_EXPLAINING = 3
 _CHANGE = np.float32(0.3)  # of albedo or of a normal's component: an edge
 #: A part of a window's neighbours, see `cross_bilateral.taps`; the graph of a step has it too.
 THINNED = True
@@ -105,7 +108,7 @@ class OnlineModel:
         """Operations and planes a pixel of the stages that are this family's alone."""
         guides = len(GUIDE_UNITS)
         return {
-            "regress": cross_regression_cost(WINDOW, SPACING, 1 + _COLORS + guides, guides),
+            "regress": cross_regression_cost(LINES, 1 + _COLORS + _EXPLAINING, guides),
             "filter": cross_bilateral_cost(len(taps(THINNED))),
         }
 
@@ -244,7 +247,7 @@ class OnlineModel:
         self, first: np.ndarray, second: np.ndarray, guides: np.ndarray, strips: Strips
     ) -> np.ndarray:
         """What the filter is given, ``(2, 3, h, w)``; ablations give it something else."""
-        return pilots(first, second, guides / GUIDE_UNITS[:, None, None], strips)
+        return pilots((first, second), Guides(guides, GUIDE_UNITS, _EXPLAINING), strips)
 
     def filter(self, estimates: Estimates, theta: np.ndarray, strips: Strips) -> np.ndarray:
         """The picture's irradiance, ``(3, h, w)``, as `Estimates` are; for ablations as well."""
@@ -277,7 +280,7 @@ class OnlineModel:
         def fill(rows: slice) -> None:
             first = 0
             for part in parts:
-                surround(part, planes[0, first : first + len(part)], 0, rows)
+                surround(part, planes[0, first : first + len(part), rows], 0, rows)
                 first += len(part)
 
         context.strips.run(fill, full[0], full[1], pixels=STRIP_PIXELS // 2)

@@ -17,6 +17,7 @@ from stillray.stages.repair import MAX_RADIANCE, Buffers
 from stillray.stages.state import History
 
 _MOST_LOG = np.float32(60)  # of exposed radiance: exp of it is a float32
+_ORDINARY = (1e-30, 1e30)  # exposures that a float32 may be divided by
 #: Of the four taps around a place, the share that must show the same surface for it to be known.
 _LEAST_SHARE = 0.1
 _AROUND = np.ones((3, 3), np.uint8)
@@ -168,11 +169,15 @@ def logarithm(radiance: np.ndarray, exposure: float) -> np.ndarray:
 def radiance_of(log: np.ndarray, exposure: float, strips: Strips) -> np.ndarray:
     """`logarithm` undone: ``(3, h, w)`` to ``(h, w, 4)``, finite, 0 or more, and 1 last."""
     radiance = np.empty((*log.shape[1:], 4), np.float32)
+    kind = np.float32 if _ORDINARY[0] < exposure < _ORDINARY[1] else np.float64
 
     def work(rows: slice) -> None:
-        planes = np.ones((4, *log[0, rows].shape), np.float32)
-        exposed = np.expm1(np.clip(log[:, rows], 0, _MOST_LOG)).astype(np.float64) / exposure
-        np.minimum(exposed, MAX_RADIANCE, out=planes[:3], casting="unsafe")
+        planes = strips.workspace.array("of a logarithm", (4, *log[0, rows].shape))
+        light, planes[3] = planes[:3], 1
+        np.expm1(np.clip(log[:, rows], 0, _MOST_LOG, out=light), out=light)
+        with np.errstate(over="ignore"):
+            np.divide(light, kind(exposure), out=light, casting="same_kind")
+        np.minimum(light, MAX_RADIANCE, out=light)
         interleave(planes, out=radiance[rows])
 
     strips.run(work, *log.shape[1:])

@@ -11,7 +11,7 @@ itself, float32 or, of a network of 8-bit integers, integers. What the nodes may
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from functools import partial
 from math import prod
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from stillray.errors import InputError
-from stillray.models.protobuf import MAX_VALUES, Field, Wire, WireError
+from stillray.models.protobuf import MAX_VALUES, Field, Wire, WireError, field_of
 
 #: Bytes of a file: forty times the largest that comes with stillray. Tensors lie within it.
 MAX_BYTES = 100 * 2**20
@@ -36,6 +36,7 @@ _MOST_AXES = 8
 
 _text = partial(Field, kind="text")
 _several = partial(Field, repeated=True)
+_GRAPH_OF_MODEL, _INITIALIZER, _INPUT = 7, 5, 11  # fields of the messages below
 _MODEL = {
     1: Field("ir_version", "int"),
     2: _text("producer_name"),
@@ -43,7 +44,7 @@ _MODEL = {
     4: _text("domain"),
     5: Field("model_version", "int"),
     6: _text("doc_string"),
-    7: Field("graph", "bytes"),
+    _GRAPH_OF_MODEL: Field("graph", "bytes"),
     8: _several("opset_import", "bytes"),
     14: _several("metadata_props", "bytes"),
 }
@@ -52,9 +53,9 @@ _OPSET = {1: _text("domain"), 2: Field("version", "int")}
 _GRAPH = {
     1: _several("node", "bytes"),
     2: _text("name"),
-    5: _several("initializer", "bytes"),
+    _INITIALIZER: _several("initializer", "bytes"),
     10: _text("doc_string"),
-    11: _several("input", "bytes"),
+    _INPUT: _several("input", "bytes"),
     12: _several("output", "bytes"),
     13: _several("value_info", "skip"),
     16: _several("metadata_props", "skip"),
@@ -183,6 +184,33 @@ def parse_onnx(data: bytes) -> OnnxFile:
     return OnnxFile(data=data, metadata=metadata, graph=_graph(wire, model["graph"]))
 
 
+def with_constants(data: bytes, names: Container[str], values: Mapping[str, np.ndarray]) -> bytes:
+    """A model that `parse_onnx` takes, whose inputs of some names are none any more.
+
+    Parameters
+    ----------
+    data
+        Of the file.
+    names
+        Of inputs for which the file holds tensors: those are constants then.
+    values
+        Which to hold for some of them instead, float32.
+    """
+    wire = Wire()
+
+    def source(chunk: memoryview) -> memoryview | None:
+        return None if wire.decode("input", chunk, _VALUE).get("name") in names else chunk
+
+    def tensor(chunk: memoryview) -> bytes | memoryview:
+        name = wire.decode("tensor", chunk, _TENSOR).get("name", "")
+        return _tensor_of(name, values[name]) if name in values else chunk
+
+    def graph(chunk: memoryview) -> bytes:
+        return wire.changed("graph", chunk, {_INPUT: source, _INITIALIZER: tensor})
+
+    return wire.changed("model", memoryview(data), {_GRAPH_OF_MODEL: graph})
+
+
 def metadata_of(data: bytes) -> dict[str, str]:
     """The metadata of a model alone, whatever its graph is.
 
@@ -272,6 +300,18 @@ def _tensor(wire: Wire, data: memoryview) -> tuple[str, np.ndarray]:
     if not np.isfinite(values).all():
         raise WireError(f"its tensor {name} holds numbers that are not finite")
     return name, values.reshape(shape)
+
+
+def _tensor_of(name: str, values: np.ndarray) -> bytes:
+    """The message that `_tensor` reads."""
+    return b"".join(
+        [
+            *(field_of(1, size) for size in values.shape),
+            field_of(2, _FLOAT),
+            field_of(8, name.encode()),
+            field_of(9, values.astype("<f4").tobytes()),
+        ]
+    )
 
 
 def _places(name: str, tensor: Mapping[str, Any]) -> np.ndarray:

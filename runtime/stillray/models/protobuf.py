@@ -7,7 +7,7 @@ readers disagree on what that means.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,6 +81,39 @@ class Wire:
                 found[field.name] = values[0]
         return found
 
+    def changed(
+        self,
+        what: str,
+        data: memoryview,
+        changes: Mapping[int, Callable[[memoryview], bytes | memoryview | None]],
+    ) -> bytes:
+        """A message as it is, but for its fields of some numbers, which are bytes.
+
+        Parameters
+        ----------
+        what, data
+            As `decode` takes them; a message that it has decoded.
+        changes
+            By number, what gives the bytes that stand in a field's place; None leaves it out.
+        """
+        parts: list[bytes | memoryview] = []
+        place = 0
+        while place < len(data):
+            start = place
+            key, place = self._varint(what, data, place)
+            if key & 7 != _BYTES:
+                place = self._varint(what, data, place)[1] if key & 7 == _VARINT else place + 4
+                parts.append(data[start:place])
+                continue
+            length, begin = self._varint(what, data, place)
+            place = begin + length
+            change = changes.get(key >> 3)
+            if change is None:
+                parts.append(data[start:place])
+            elif (value := change(data[begin:place])) is not None:
+                parts.append(field_of(key >> 3, value))
+        return b"".join(parts)
+
     def _values(
         self, what: str, data: memoryview, place: int, wire: int, field: Field
     ) -> tuple[list[Any], int]:
@@ -140,3 +173,18 @@ class Wire:
 
 def _signed(value: int) -> int:
     return value - 2**64 if value >= 2**63 else value
+
+
+def field_of(number: int, value: int | bytes | memoryview) -> bytes:
+    """A field of a message: a number, 0 or more, or bytes."""
+    if isinstance(value, int):
+        return _varint_of(number << 3 | _VARINT) + _varint_of(value)
+    return _varint_of(number << 3 | _BYTES) + _varint_of(len(value)) + bytes(value)
+
+
+def _varint_of(value: int) -> bytes:
+    parts = []
+    while value > 0x7F:
+        parts.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes([*parts, value])

@@ -23,13 +23,14 @@ from stillray.families.registry import FAMILIES
 from stillray.families.saved_state import read_arrays, write_arrays
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
+from stillray.models.network import WatchedEngine
 from stillray.models.registry import (
     DEFAULT_MODEL,
     ModelInfo,
     for_single_frames,
     with_overrides,
 )
-from stillray.models.session import Provider, WatchedEngine
+from stillray.models.session import Provider
 from stillray.pipeline.layers import validated
 from stillray.pipeline.opening import engine_of_model, family_of_model, model_of, network_path
 from stillray.pipeline.output import Target

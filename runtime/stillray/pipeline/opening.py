@@ -11,6 +11,7 @@ from stillray.families.frame_graph import FrameGraphModel
 from stillray.families.registry import FAMILIES
 from stillray.model_spec.loader import ModelSpec
 from stillray.models.frame_session import FrameSession, device_of
+from stillray.models.network import Network
 from stillray.models.precision import chosen, quickest
 from stillray.models.registry import (
     ModelInfo,
@@ -20,7 +21,7 @@ from stillray.models.registry import (
     require_fit,
     steps_of,
 )
-from stillray.models.session import Network, Provider, provider_names, read_checked
+from stillray.models.session import Provider, provider_names, read_checked
 
 Providers = tuple[Provider, ...] | None
 
