@@ -130,3 +130,17 @@ def test_clusters_of_fireflies_are_left_out(model):
     plain, lit = images
     # 400 times, where nothing but what scenes have was learned from
     assert (lit / (plain + 0.01)).max() < 40
+
+
+@pytest.mark.parametrize(("farther", "other"), [(1.7, True), (1 / 1.7, True), (1.15, False)])
+def test_a_view_whose_depth_is_another_is_a_cut(fresh, farther: float, other: bool) -> None:
+    """A camera that moves ahead is none."""
+    before = [make_frame(40, 48, seed) for seed in range(4)]
+    after = make_frame(40, 48, 9)
+    after = replace(after, depth=before[-1].depth * np.float32(farther))
+    alone = fresh.denoise(after)
+    fresh.reset()
+    for given in before:
+        fresh.denoise(given)
+    apart = np.abs(fresh.denoise(after) - alone).mean() / alone.mean()
+    assert (apart < 0.01) == other

@@ -40,6 +40,7 @@ from stillray.timing import timed
 
 #: Frames that a frame's history is taken to go back.
 MEMORY_FRAMES = 32
+_OTHER_DEPTH = np.float32(np.log(1.25))  # more than a camera moves in a frame
 _GUIDES = ("roughness", "specular_albedo")
 
 
@@ -275,6 +276,8 @@ class FeatureFiltersModel:
             with timed(timings, "warp"):
                 motion = dilated(buffers.motion, buffers.depth, strips)
                 past = warped(plan.past, grid, motion, self.rules, strips, context.workspace)
+                if surfaces.depth is not None and _elsewhere(past.output, surfaces.depth, strips):
+                    past = None
         return _Seen(grid, frame, surfaces, past, exposure)
 
     def _exposed(self, plan: UpscalePlan, context: Context) -> tuple[float, np.ndarray]:
@@ -393,6 +396,30 @@ def warped(
 
     strips.run(work, *grid.full, pixels=STRIP_PIXELS // 2)
     return Past(Accumulated(*room[:3]), room[3])
+
+
+def _elsewhere(output: np.ndarray, depth: np.ndarray, strips: Strips) -> bool:
+    """Whether the last picture is of another view: a cut that nobody told.
+
+    The network is told how depth changes, pixel by pixel, and has learned what is uncovered, not
+    that nothing is as it was.
+
+    Parameters
+    ----------
+    output : (H, W, 4) float32
+        Of `warped`: last the logarithm of depth, 0 where it is not known.
+    depth : (H, W) float32
+        This frame's.
+    """
+
+    def count(rows: slice) -> np.ndarray:
+        before = output[rows, :, 3]
+        known = before != 0
+        apart = np.abs(before - log_depth(depth[rows])) > _OTHER_DEPTH
+        return np.array([np.count_nonzero(known), np.count_nonzero(known & apart)])
+
+    known, other = np.sum(strips.run(count, *depth.shape), axis=0)
+    return bool(2 * other > known)
 
 
 def _old(grid: Grid, context: Context) -> Remembered | None:
