@@ -21,12 +21,14 @@ from torch.fx.experimental.proxy_tensor import make_fx
 
 from stillray.cli import program
 from stillray.errors import InputError
+from stillray.families.filter_network import join
 from stillray.families.online import THINNED
 from stillray.families.online_learning import CROP
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec, load
 from stillray.model_spec.network_weights import network_weights
-from stillray.models.registry import UNLISTED, require_fit
+from stillray.models.onnx_file import parse_onnx, read_bytes
+from stillray.models.registry import UNLISTED, find_model, require_fit
 from stillray.models.session import checked
 from stillray_training.loss_log import LOG, last_step
 from stillray_training.networks.filter_parameters import Shapes, filter_parameters, split, start
@@ -36,6 +38,7 @@ from stillray_training.onnx_graph import metadata_of, to_model
 from stillray_training.provenance import collect
 
 OPSET = 18
+_OF_BEFORE = ("steps", "data", "credits", "started_from")  # of a provenance
 STEP_NAME = "cross-regression.onnx"
 #: What a step takes and gives, in the graph's order.
 INPUTS = ("weights", "first", "second", "step", "rate", "features", "past", "inside")
@@ -183,6 +186,42 @@ def _begin(spec: ModelSpec, run: Path | None) -> tuple[Tensor, dict[str, Any]]:
     return weights, collect(run, spec, last_step(run / LOG))
 
 
+def mixed(
+    spec: ModelSpec, weights: Tensor, provenance: dict[str, Any], share: float
+) -> tuple[Tensor, dict[str, Any]]:
+    """A mean of weights and those that the model has by now, and where it is from.
+
+    Between weights before and after a training lie some that do what both do well (Wortsman et al.
+    2022, Robust fine-tuning of zero-shot models).
+
+    Parameters
+    ----------
+    spec
+        Of the model.
+    weights : (n,)
+        Those of a run.
+    provenance
+        Theirs.
+    share
+        Of them in the mean, (0, 1].
+
+    Raises
+    ------
+    InputError
+        ``share`` is out of its range.
+    """
+    if not 0 < share <= 1:
+        raise InputError(f"share must be above 0 and at most 1, got {share:g}")
+    if share == 1:
+        return weights, provenance
+    before = find_model(spec.name)
+    tensors = parse_onnx(read_bytes(before.path)).graph.tensors
+    earlier = torch.from_numpy(join(tensors, layout_of(spec)))
+    known = {key: before.provenance[key] for key in _OF_BEFORE if key in before.provenance}
+    origin = {"model": spec.name, **known, "share_of_its_weights": round(1 - share, 6)}
+    return torch.lerp(earlier, weights, share), {**provenance, "started_from": origin}
+
+
 def main(
     model: Annotated[str, typer.Argument(help="A specification's name.")] = "online",
     run: Annotated[
@@ -191,10 +230,13 @@ def main(
     out: Annotated[Path, typer.Option(help="Folder for the .onnx files.")] = Path(
         "runtime/stillray/models"
     ),
+    share: Annotated[
+        float, typer.Option(help="Of the run's weights in a mean with those of the model by now.")
+    ] = 1.0,
 ) -> None:
     """Export a model, which nothing has taught yet unless there is a run, and its step."""
     spec = load(model)
-    weights, about = _begin(spec, run)
+    weights, about = mixed(spec, *_begin(spec, run), share)
     files = {
         out / UNLISTED / f"{spec.name}.onnx": network_file(spec, weights, about),
         out / "steps" / STEP_NAME: step_file(spec),

@@ -7,12 +7,15 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
+from stillray.errors import InputError  # noqa: E402
+from stillray.families.filter_network import join  # noqa: E402
 from stillray.families.filter_network import split as split_arrays  # noqa: E402
 from stillray.families.online import THINNED  # noqa: E402
 from stillray.families.online_learning import CROP  # noqa: E402
 from stillray.models.network import Network  # noqa: E402
+from stillray.models.onnx_file import parse_onnx  # noqa: E402
 from stillray.models.registry import find_model, steps_of  # noqa: E402
-from stillray_export.online import layout_of  # noqa: E402
+from stillray_export.online import layout_of, mixed  # noqa: E402
 from stillray_training.networks.filter_parameters import (  # noqa: E402
     Differentiable,
     filter_parameters,
@@ -110,3 +113,16 @@ def test_learned_weights_take_the_place_of_those_in_the_file(model, network, rng
         for operators in (None, Differentiable()):
             wanted = filter_parameters(weights, torch.from_numpy(features), operators)
             np.testing.assert_allclose(found, wanted[0].numpy(), atol=1e-5)
+
+
+def test_a_mean_with_the_weights_before_says_so():
+    info = find_model("online-warm")
+    before = join(parse_onnx(info.path.read_bytes()).graph.tensors, layout_of(info.spec))
+    weights = torch.ones(len(before))
+    mean, about = mixed(info.spec, weights, {"steps": 3}, 0.25)
+    np.testing.assert_allclose(mean, 0.75 * before + 0.25, atol=1e-6)
+    assert about["steps"] == 3
+    assert about["started_from"]["share_of_its_weights"] == 0.75
+    assert mixed(info.spec, weights, {}, 1.0) == (weights, {})
+    with pytest.raises(InputError, match=r"share must be .*, got 1\.5"):
+        mixed(info.spec, weights, {}, 1.5)

@@ -24,9 +24,9 @@ from stillray.models.products import products
 SPACING = 6
 # differs: windows of 17x17 pixels (section 3); here of tiles, 12 pixels high and 18 wide, which are
 # taken as they lie (docs/decisions.md).
-_DOWN, ACROSS = 2, 3
+_DOWN, _ACROSS = 2, 3
 #: Lines that speak of a pixel.
-LINES = _DOWN * ACROSS
+LINES = _DOWN * _ACROSS
 _RANGE = 8  # pixels to each side, within whose range a pilot stays
 _TILE = SPACING**2  # pixels
 _PIXELS = LINES * _TILE
@@ -88,7 +88,7 @@ class _Tiles:
         """Windows of some centers, not copied: ``(count, planes, 2, pixels of a row)``."""
         part = self.planes[:, :, centers.start :]
         of_row, of_plane, of_tile, of_pixel = part.strides
-        shape = len(centers), part.shape[1], _DOWN, ACROSS * _TILE
+        shape = len(centers), part.shape[1], _DOWN, _ACROSS * _TILE
         return np.lib.stride_tricks.as_strided(part, shape, (of_tile, of_plane, of_row, of_pixel))
 
     def centers(self, centers: range) -> np.ndarray:
@@ -273,8 +273,8 @@ def _say(tiles: _Tiles, chosen: range, sums: np.ndarray, workspace: Workspace) -
         lines = np.zeros((count, _COLORS + 1, explain), np.float32)
         lines[:, :_COLORS], lines[:, _COLORS, 0] = _fit(flat, weighed), 1
         said = np.matmul(lines, weighed, out=workspace.array("of lines", (count, 4, _PIXELS)))
-        by_tile = said.reshape(count, _COLORS + 1, _DOWN, ACROSS, _TILE).transpose(2, 3, 1, 0, 4)
-        for beside in range(ACROSS):
+        by_tile = said.reshape(count, _COLORS + 1, _DOWN, _ACROSS, _TILE).transpose(2, 3, 1, 0, 4)
+        for beside in range(_ACROSS):
             at = slice(chosen.start + beside, chosen.stop + beside)
             sums[:, half, :, at] += by_tile[:, beside]
 
