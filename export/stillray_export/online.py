@@ -36,9 +36,9 @@ from stillray_training.online.step import LOSS_EPSILON, Learning, train_step
 from stillray_training.online.warm import WEIGHTS
 from stillray_training.onnx_graph import metadata_of, to_model
 from stillray_training.provenance import collect
+from stillray_training.start import origin_of
 
 OPSET = 18
-_OF_BEFORE = ("steps", "data", "credits", "started_from")  # of a provenance
 STEP_NAME = "cross-regression.onnx"
 #: What a step takes and gives, in the graph's order.
 INPUTS = ("weights", "first", "second", "step", "rate", "features", "past", "inside")
@@ -217,8 +217,7 @@ def mixed(
     before = find_model(spec.name)
     tensors = parse_onnx(read_bytes(before.path)).graph.tensors
     earlier = torch.from_numpy(join(tensors, layout_of(spec)))
-    known = {key: before.provenance[key] for key in _OF_BEFORE if key in before.provenance}
-    origin = {"model": spec.name, **known, "share_of_its_weights": round(1 - share, 6)}
+    origin = {**origin_of(before), "share_of_its_weights": round(1 - share, 6)}
     return torch.lerp(earlier, weights, share), {**provenance, "started_from": origin}
 
 

@@ -18,7 +18,7 @@ from torch.nn import functional as F
 
 from stillray.errors import InputError
 from stillray.model_spec import ModelSpec, from_json
-from stillray.models.registry import find_model
+from stillray.models.registry import ModelInfo, find_model
 from stillray_training.families import network_of
 from stillray_training.networks.repvgg import RepVGGBlock
 
@@ -105,11 +105,16 @@ def _of_model(source: str | Path) -> Start:
             for tensor in onnx.load(info.path).graph.initializer
         },
     )
-    known = ("steps", "data", "credits", "started_from")
-    about = {key: info.provenance[key] for key in known if key in info.provenance}
     weights = network.state_dict()
     planes = getattr(network, "planes", {})
-    return Start(info.spec.network.features, planes, weights, {"model": info.name, **about})
+    return Start(info.spec.network.features, planes, weights, origin_of(info))
+
+
+def origin_of(info: ModelInfo) -> dict[str, Any]:
+    """What a provenance tells of a model whose weights were taken over."""
+    known = ("steps", "data", "credits", "started_from")
+    about = {key: info.provenance[key] for key in known if key in info.provenance}
+    return {"model": info.name, **about}
 
 
 def unfuse(network: nn.Module, fused: Mapping[str, Tensor]) -> None:
