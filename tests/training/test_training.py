@@ -294,6 +294,7 @@ def test_training_lowers_the_loss_and_resumes_where_it_stopped(data, small, tmp_
         "blur_weight",
         "smape_weight",
         "filmic_weight",
+        "mean_weight",
     ],
 )
 def test_a_weight_adds_its_part_of_the_loss(data, small, key):
@@ -322,6 +323,7 @@ def test_a_weight_adds_its_part_of_the_loss(data, small, key):
         "blur_weight": blur_error(shown - wanted),
         "smape_weight": smape(image, reference, small.training.smape_epsilon),
         "filmic_weight": (filmic(image) - filmic(reference)).abs().mean(),
+        "mean_weight": (shown - wanted).mean((2, 3)).abs(),
     }[key]
     assert loss(3.0) - loss(0.0) == pytest.approx(3 * float(part.mean()), rel=1e-4)
 

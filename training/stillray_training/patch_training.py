@@ -35,6 +35,7 @@ from stillray_training.losses import (
     dissimilarity,
     excess,
     filmic,
+    mean_error,
     per_patch,
     slope_error,
     smape,
@@ -84,6 +85,8 @@ def reconstruct_loss(
         loss = loss + recipe.slope_weight * slope_error(error)
     if recipe.blur_weight:
         loss = loss + recipe.blur_weight * blur_error(error)
+    if recipe.mean_weight:
+        loss = loss + recipe.mean_weight * mean_error(error)
     if recipe.steady_weight:
         before = displayed(take["previous"] * take["exposure"])
         change = unsteadiness(shown, wanted, before, take["valid"])

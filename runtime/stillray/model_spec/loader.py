@@ -539,12 +539,13 @@ class Training:
     smape_weight: float = 1.0  # weight of SMAPE itself, >= 0
     # weight of the error after a filmic curve, which Meng et al. 2020 train by, >= 0
     filmic_weight: float = 0.0
+    mean_weight: float = 0.0  # weight of how far a patch's mean as displayed is off, >= 0
 
     def __post_init__(self) -> None:
         for key in (
             "display_weight", "squared_weight", "structure_weight", "steady_weight",
             "slope_weight", "blur_weight", "hinge_weight", "weight_decay", "albedo_weight",
-            "smape_weight", "filmic_weight",
+            "smape_weight", "filmic_weight", "mean_weight",
         ):  # fmt: skip
             _within(f"training.{key}", getattr(self, key), 0, 1e3)
         for key in (
