@@ -7,18 +7,17 @@ between them is a quarter of the bytes. What the network gives are logits of wei
 stays a mean however they are rounded.
 
 Scales are those of the frames in DATA: sequences that a model was trained on, never what it is
-measured on. Without, planes keep the scales of the file that is there, and the weights alone are
-made anew. Made by ONNX Runtime's own quantisation: a scale for each output of a convolution, one
+measured on. Made by ONNX Runtime's own quantisation: a scale for each output of a convolution, one
 for each image, the least to the greatest value that was met. Then `stillray_export.small_sums` sees
-to it that no processor's sums overflow, and `stillray_export.integer_layout` arranges planes as
-processors take them faster.
+to it that no processor's sums overflow, `stillray_export.bias_correction` takes back what rounded
+weights shift, and `stillray_export.integer_layout` arranges planes as processors take them faster.
 """
 
 from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -41,12 +40,13 @@ from stillray.errors import InputError
 from stillray.families.contract import Engine
 from stillray.frame import Frame
 from stillray.io.exr.read_write import atomic_path
-from stillray.models.precision import int8_path, is_made_of, made_of, pairs_path
+from stillray.models.precision import int8_path, made_of, pairs_path
 from stillray.models.registry import ModelInfo, find_model, require_fit
 from stillray.models.session import checked
 from stillray.models.steps import PLACES_KEY
 from stillray.pipeline.denoiser import Denoiser
 from stillray.pipeline.opening import engine_of_model, family_of_model
+from stillray_export.bias_correction import correct_biases
 from stillray_export.integer_layout import arrange
 from stillray_export.plane_order import order_features
 from stillray_export.small_sums import weight_scales
@@ -54,18 +54,11 @@ from stillray_training.blocks import frames_of, mean_frame, read_blocks
 from stillray_training.run import sequences_in
 from stillray_training.targets import read_filter
 
-#: What ONNX Runtime takes for a plane's scale and the integer that stands for 0.
-Scales = Mapping[str, Sequence[Mapping[str, np.ndarray]]]
-
 #: Operators that take and give integers; what else there is stays float32.
 OPERATORS = ("Add", "Clip", "Concat", "Conv", "MaxPool", "Mul", "Relu", "Resize", "Slice")
 
-_SOME_SIZE = 64, 64  # of a frame that ONNX Runtime wants to see, where scales are known
 
-
-def quantized(
-    model: Path, features: Sequence[np.ndarray], scales: Scales | None = None
-) -> onnx.ModelProto:
+def quantized(model: Path, features: Sequence[np.ndarray]) -> onnx.ModelProto:
     """A network in integers, whose sums of products no processor overflows.
 
     Parameters
@@ -73,10 +66,8 @@ def quantized(
     model
         The .onnx file of a network of floats.
     features : (1, features, h, w) float32 each
-        What it is to be given: scales fit to what it makes of these, of their upper left in the
-        size of the smallest.
-    scales
-        Of planes that have one already, whatever is made of the features.
+        What it is to be given: scales and biases fit to what it makes of these, of their upper
+        left in the size of the smallest.
     """
     # ONNX Runtime's calibration stacks what a layer gives
     height, width = np.min([planes.shape[2:] for planes in features], axis=0)
@@ -99,7 +90,7 @@ def quantized(
             calibrate_method=CalibrationMethod.Percentile,
             extra_options={
                 "CalibPercentile": 99.999,
-                "TensorQuantOverrides": {**weight_scales(floats.graph), **(scales or {})},
+                "TensorQuantOverrides": weight_scales(floats.graph),
             },
         )
         found = onnx.load(made)
@@ -107,6 +98,7 @@ def quantized(
         # one way to hold numbers, which the runtime reads
         tensor.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(tensor), tensor.name))
     del found.graph.value_info[:]
+    correct_biases(floats, found, features)
     take_pixels(found.graph)
     told = {entry.key: entry.value for entry in floats.metadata_props}
     del found.metadata_props[:]
@@ -152,25 +144,6 @@ def take_pixels(graph: onnx.GraphProto) -> None:
     features.CopyFrom(
         helper.make_tensor_value_info("features", TensorProto.UINT8, [1, *size, planes])
     )
-
-
-def scales_of(integers: Path) -> Scales:
-    """The scales of planes in a file that `main` wrote.
-
-    Parameters
-    ----------
-    integers
-        ``NAME.int8.onnx``.
-    """
-    network = onnx.load(integers)
-    tensors = {each.name: numpy_helper.to_array(each) for each in network.graph.initializer}
-    found = {}
-    for name, scale in tensors.items():
-        plane = name.removesuffix("_scale")
-        zero = tensors.get(f"{plane}_zero_point")
-        if plane != name and zero is not None and zero.dtype == np.uint8:
-            found[plane] = [{"scale": scale, "zero_point": zero}]
-    return found
 
 
 class _Features(CalibrationDataReader):  # type: ignore[misc]
@@ -234,10 +207,7 @@ def _still(sequence: Path, last: Frame) -> list[Frame]:
 
 def main(
     model: Annotated[str, typer.Argument(help="The model, or the path of its .onnx file.")],
-    data: Annotated[
-        list[Path] | None,
-        typer.Option(help="Folder of sequences; repeatable. Without, scales stay as they are."),
-    ] = None,
+    data: Annotated[list[Path], typer.Option(help="Folder of sequences; repeatable.")],
     most: Annotated[
         int, typer.Option(min=1, help="Sequences of each folder of data at most.")
     ] = 24,
@@ -245,12 +215,11 @@ def main(
     """Write the network of a model in integers of 8 bits beside it."""
     info = find_model(model)
     features: list[np.ndarray] = []
-    for folder in data or []:
+    for folder in data:
         sequences = sequences_in([folder])
         for sequence in sequences[:: -(-len(sequences) // most)]:
             features += features_of(info, sequence)
-    network = quantized(info.path, features) if data else _with_scales_as_before(info)
-    scales = f"of {len(features)} frames" if data else "scales as before"
+    network = quantized(info.path, features)
     # both are made before either takes the place of what is there
     pixels, pairs = (_arranged(network, info, pairs=pairs) for pairs in (False, True))
     assert pixels is not None
@@ -264,7 +233,7 @@ def main(
     for path, made in files.items():
         with atomic_path(path) as temporary:
             temporary.write_bytes(made)
-        print(f"{path}: {scales}")
+        print(f"{path}: of {len(features)} frames")
 
 
 def _arranged(network: onnx.ModelProto, info: ModelInfo, *, pairs: bool) -> onnx.ModelProto | None:
@@ -277,16 +246,6 @@ def _arranged(network: onnx.ModelProto, info: ModelInfo, *, pairs: bool) -> onnx
     # what the runtime would refuse is found here, not by who runs the model
     require_fit(checked(copied.SerializeToString(), info.name)[1], info.spec, info.name)
     return copied
-
-
-def _with_scales_as_before(model: ModelInfo) -> onnx.ModelProto:
-    path = int8_path(model.path)
-    if not path.is_file() or not is_made_of(path, model.path):
-        raise InputError(
-            f"data must be given for {model.name}, beside which lies no {path.name} made of it"
-        )
-    nothing = np.zeros((1, model.interface.features, *_SOME_SIZE), np.float32)
-    return quantized(model.path, [nothing], scales_of(path))
 
 
 if __name__ == "__main__":

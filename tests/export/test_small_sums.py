@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 from onnx import helper, numpy_helper
 from onnxruntime import GraphOptimizationLevel, InferenceSession, SessionOptions
 
-from stillray.models.precision import int8_path
 from stillray.models.registry import find_model
 from stillray.models.small_sums import MOST, neighbours_sum
 from stillray_export.integer_layout import arrange
-from stillray_export.quantize import quantized, scales_of
+from stillray_export.quantize import quantized
 from stillray_export.small_sums import scales_of_outputs
 
 
@@ -155,19 +154,3 @@ def test_each_convolution_that_ships_is_computed_here_as_its_integers_say(path, 
         model = helper.make_model(graph, opset_imports=network.opset_import, ir_version=10)
         given = np.where(rng.random((1, inputs, 16, 16)) < 0.5, 0, 255).astype(np.uint8)
         assert_as_said(model, given)
-
-
-def test_planes_keep_the_scales_of_the_file_that_is_there():
-    model = find_model("kpyr-5s")
-    before = scales_of(int8_path(model.path))
-    nothing = np.zeros((1, model.interface.features, 64, 64), np.float32)
-    network = quantized(model.path, [nothing], before)
-    told = {each.name: numpy_helper.to_array(each) for each in network.graph.initializer}
-    assert len(before) > 20
-    made = {
-        name.removesuffix("_zero_point") for name, each in told.items() if each.dtype == np.uint8
-    }
-    assert made == before.keys()  # nothing was calibrated
-    for plane, (kept,) in before.items():
-        assert told[f"{plane}_scale"] == kept["scale"]
-        assert told[f"{plane}_zero_point"] == kept["zero_point"]
