@@ -174,8 +174,11 @@ class _Listening(Engine):
         self._engine.close()
 
 
-def features_of(model: ModelInfo, sequence: Path) -> Iterator[np.ndarray]:
-    """What a model's network is given of a sequence: the first, second and last frame, and a still.
+def features_of(model: ModelInfo, sequence: Path, between: int = 0) -> Iterator[np.ndarray]:
+    """What a model's network is given of a sequence: some of its frames, and a still.
+
+    They are the first, the second and the last one, and one between, not the same in all sequences:
+    where a frame's samples lie in its pixels comes in the same order in each.
 
     Parameters
     ----------
@@ -184,18 +187,21 @@ def features_of(model: ModelInfo, sequence: Path) -> Iterator[np.ndarray]:
     sequence
         As `stillray_training.simulate` writes them. Where its last frame comes in blocks of
         samples, the still is of all but the largest.
+    between
+        Counts frames from the third one on, and again from there where there are no more.
     """
     frames = frames_of(sequence)
     if not frames:
         raise InputError(f"{sequence}: must hold frames, frame_0000.exr and on")
-    spread = read_filter(sequence)
+    spread, last = read_filter(sequence), len(frames) - 1
+    chosen = {0, 1, 2 + between % max(last - 2, 1), last}
     engine = _Listening(engine_of_model(model, 1, None))
     with closing(engine), Denoiser(model, threads=1, engine=engine) as denoiser:
         for index, frame in enumerate([*frames, *_still(sequence, frames[-1])]):
             if index == len(frames):
                 denoiser.reset()
             denoiser.denoise(replace(frame, filter_spread=spread))
-            if index in (0, 1) or index >= len(frames) - 1:
+            if index in chosen or index > last:
                 assert engine.given is not None
                 yield engine.given
 
@@ -217,8 +223,8 @@ def main(
     features: list[np.ndarray] = []
     for folder in data:
         sequences = sequences_in([folder])
-        for sequence in sequences[:: -(-len(sequences) // most)]:
-            features += features_of(info, sequence)
+        for number, sequence in enumerate(sequences[:: -(-len(sequences) // most)]):
+            features += features_of(info, sequence, number)
     network = quantized(info.path, features)
     # both are made before either takes the place of what is there
     pixels, pairs = (_arranged(network, info, pairs=pairs) for pairs in (False, True))

@@ -52,6 +52,11 @@ def test_frames_of_several_sizes_give_the_network_that_their_common_part_gives(r
     assert mixed.SerializeToString() == alike.SerializeToString()
 
 
-def test_scales_are_of_first_second_and_last_frames():
-    seen = list(features_of(find_model("kpyr-5s"), ROOM))
-    assert [array.shape[:2] for array in seen] == [(1, 10)] * 3
+def test_scales_are_of_first_second_and_last_frames_and_of_one_between():
+    model = find_model("kpyr-5s")
+    third, sixth = (list(features_of(model, ROOM, between)) for between in (0, 3))
+    assert [array.shape[:2] for array in third] == [(1, 10)] * 4
+    same = [np.array_equal(one, other) for one, other in zip(third, sixth, strict=True)]
+    assert same == [True, True, False, True]
+    again = list(features_of(model, ROOM, 5))  # the last is there already: it begins anew
+    assert all(np.array_equal(one, other) for one, other in zip(third, again, strict=True))

@@ -30,11 +30,11 @@ def oracle(explains, explained, guides, explaining):
     _, height, width = explains.shape
     sums, weights = np.zeros((3, height, width)), np.zeros((height, width))
     for center_y in range(0, height + 6, 6):
-        for center_x in range(3, width + 3, 6):
+        for center_x in range(0, width + 6, 6):
             cy, cx = min(center_y, height - 1), min(center_x, width - 1)
             rows, places, w, y = [], [], [], []
             for py in range(max(center_y - 6, 0), min(center_y + 6, height)):
-                for px in range(max(center_x - 9, 0), min(center_x + 9, width)):
+                for px in range(max(center_x - 6, 0), min(center_x + 6, width)):
                     apart = explains[:, py, px] - explains[:, cy, cx]
                     other = guides[:, py, px] - guides[:, cy, cx]
                     sigmas = noise[py, px], noise[cy, cx]
@@ -44,7 +44,7 @@ def oracle(explains, explained, guides, explaining):
                     w.append(np.exp(-(apart**2).sum() / variance - (other**2).sum()))
                     y.append(explained[:, py, px])
                     places.append((py, px))
-            if not places:  # beyond the frame's last row of tiles
+            if not places:  # beyond the frame's last tiles
                 continue
             x, w, y = np.array(rows), np.array(w), np.array(y)
             normal = x.T @ (w[:, None] * x) + 1e-6 * np.eye(x.shape[1])

@@ -4,8 +4,8 @@ Around one pixel in 36 one half's radiance and normals explain the other half's 
 line that is fitted in a window; what the lines say of a pixel is blended. The noise of the half
 that explains is not that of the half that is explained, so that it is not copied.
 
-A frame is cut into tiles of 6x6 pixels. Lines belong to the upper borders of tiles: that tile, the
-one above, and those at either side are a line's window, and six lines speak of each pixel.
+A frame is cut into tiles of 6x6 pixels. Lines belong to the corners of tiles: the four tiles that
+meet there are a line's window, and four lines speak of each pixel.
 """
 
 from __future__ import annotations
@@ -22,15 +22,14 @@ from stillray.models.products import products
 
 # Pixels from center to center. differs: one pixel in 16 (section 3); here one in 36.
 SPACING = 6
-# differs: windows of 17x17 pixels (section 3); here of tiles, 12 pixels high and 18 wide, which are
-# taken as they lie (docs/decisions.md).
-_DOWN, _ACROSS = 2, 3
+# differs: windows of 17x17 pixels (section 3); here of 2x2 tiles, 12x12 pixels, which are taken as
+# they lie (docs/decisions.md).
+_SIDE = 2
 #: Lines that speak of a pixel.
-LINES = _DOWN * _ACROSS
+LINES = _SIDE**2
 _RANGE = 8  # pixels to each side, within whose range a pilot stays
 _TILE = SPACING**2  # pixels
 _PIXELS = LINES * _TILE
-_MIDDLE = SPACING // 2  # of a tile's first row: where the center is in the lower middle tile
 # Epsilon of eq. 6, in log radiance, and its square for eq. 7: noise that no eye sees.
 _NOISE = np.float32(0.01)
 # Tikhonov: the mean square that an explanatory variable must have in a window, in its own unit, to
@@ -88,12 +87,12 @@ class _Tiles:
         """Windows of some centers, not copied: ``(count, planes, 2, pixels of a row)``."""
         part = self.planes[:, :, centers.start :]
         of_row, of_plane, of_tile, of_pixel = part.strides
-        shape = len(centers), part.shape[1], _DOWN, _ACROSS * _TILE
+        shape = len(centers), part.shape[1], _SIDE, _SIDE * _TILE
         return np.lib.stride_tricks.as_strided(part, shape, (of_tile, of_plane, of_row, of_pixel))
 
     def centers(self, centers: range) -> np.ndarray:
-        """The pixels at some centers, ``(count, planes, 1, 1)``."""
-        found = self.planes[1, :, centers.start + 1 : centers.stop + 1, _MIDDLE]
+        """The pixels below and right of some centers, ``(count, planes, 1, 1)``."""
+        found = self.planes[1, :, centers.start + 1 : centers.stop + 1, 0]
         return np.ascontiguousarray(found.T)[..., None, None]
 
 
@@ -129,10 +128,10 @@ def pilots(halves: tuple[np.ndarray, np.ndarray], guides: Guides, strips: Strips
 
     def fit(some: slice) -> None:
         count = 2 * (_COLORS + 1) + len(guides.planes) + 1
-        planes = strips.workspace.array("tiles", (_DOWN, count, columns + 2, _TILE))
+        planes = strips.workspace.array("tiles", (_SIDE, count, columns + 2, _TILE))
         tiles = _Tiles(planes, len(guides.planes), guides.explaining)
         shape = (2, _COLORS + 1, columns + 2, _TILE)
-        said = strips.workspace.array("said", (_DOWN, *shape))
+        said = strips.workspace.array("said", (_SIDE, *shape))
         below = strips.workspace.array("said below", shape)
         _cut(halves, noise, guides, some.start - 1, planes[1], strips.workspace)
         for row in range(some.start, some.stop + 1):  # of centers, between two of tiles
@@ -140,8 +139,8 @@ def pilots(halves: tuple[np.ndarray, np.ndarray], guides: Guides, strips: Strips
             planes[0] = planes[1]
             _cut(halves, noise, guides, row, planes[1], strips.workspace)
             said.fill(0)
-            for left in range(0, columns, _CENTERS):
-                centers = range(left, min(left + _CENTERS, columns))
+            for left in range(0, columns + 1, _CENTERS):
+                centers = range(left, min(left + _CENTERS, columns + 1))
                 _say(tiles, centers, said, strips.workspace)
             if row > some.start:
                 below += said[0]
@@ -273,8 +272,8 @@ def _say(tiles: _Tiles, chosen: range, sums: np.ndarray, workspace: Workspace) -
         lines = np.zeros((count, _COLORS + 1, explain), np.float32)
         lines[:, :_COLORS], lines[:, _COLORS, 0] = _fit(flat, weighed), 1
         said = np.matmul(lines, weighed, out=workspace.array("of lines", (count, 4, _PIXELS)))
-        by_tile = said.reshape(count, _COLORS + 1, _DOWN, _ACROSS, _TILE).transpose(2, 3, 1, 0, 4)
-        for beside in range(_ACROSS):
+        by_tile = said.reshape(count, _COLORS + 1, _SIDE, _SIDE, _TILE).transpose(2, 3, 1, 0, 4)
+        for beside in range(_SIDE):
             at = slice(chosen.start + beside, chosen.stop + beside)
             sums[:, half, :, at] += by_tile[:, beside]
 

@@ -26,6 +26,8 @@ from stillray.families.online_learning import Learned, Learner, Lesson
 from stillray.families.online_past import (
     Past,
     exposed,
+    exposure_of,
+    keep_pilot,
     picture_of_past,
     pilots_of_past,
     radiance_of,
@@ -154,8 +156,7 @@ class OnlineModel:
         assert context.engine is not None
         engine, strips = context.engine, context.strips
         prepared, other, picture = self._accumulate(plan, context)
-        # of both halves alike: pictures do not depend on which is called the first
-        exposure = math.sqrt(prepared.history.exposure) * math.sqrt(other.exposure)
+        exposure = exposure_of(prepared.history, other)
         with timed(context.timings, "regress"):
             guides = _guide_planes(prepared, context)
             both = self._regressed((prepared.history, other), exposure, guides, strips)
@@ -197,7 +198,7 @@ class OnlineModel:
             past: Past | None = None
             if plan.runs("remember"):
                 with timed(context.timings, "remember"):
-                    pilot_a, pilot_b = (radiance_of(pilot, exposure, strips) for pilot in both)
+                    pilot_a, pilot_b = (keep_pilot(pilot, strips) for pilot in both)
                     output = previous_output.keep(image, strips)
                     past = Past(
                         first=replace(prepared.history, output=output),

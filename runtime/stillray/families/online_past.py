@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -33,13 +34,23 @@ class Past:
         What either half has accumulated, each of its own samples alone. Geometry, the mean albedo
         and the last picture are the first's.
     pilot_a, pilot_b : (h, w, 4) float32
-        The last pilots, irradiance, and 1.
+        The last pilots, logarithms of irradiance by `exposure`, and 1.
     """
 
     first: History
     second: History
     pilot_a: np.ndarray
     pilot_b: np.ndarray
+
+    @property
+    def exposure(self) -> float:
+        """Of the last frame's pilots."""
+        return exposure_of(self.first, self.second)
+
+
+def exposure_of(first: History, second: History) -> float:
+    """Of both halves alike: pictures do not depend on which is called the first."""
+    return math.sqrt(first.exposure) * math.sqrt(second.exposure)
 
 
 def pilots_of_past(
@@ -83,6 +94,7 @@ def pilots_of_past(
     pilots = context.workspace.array("warped pilots", (7, *shape))
     known = pilots[-1]
     sources = ((past.pilot_a, pilots[:3]), (past.pilot_b, pilots[3:6]))
+    brighter = exposure / past.exposure
 
     def work(part: slice) -> None:
         rows = slice(asked.start + part.start, asked.start + part.stop)
@@ -103,7 +115,10 @@ def pilots_of_past(
             )
             if source is past.pilot_a:
                 known[part] = taken[3] > _LEAST_SHARE
-            np.multiply(logarithm(taken[:3], exposure), known[part], out=target[:, part])
+            light = taken[:3]
+            if brighter != 1:
+                light = logarithm(np.expm1(light, out=light), brighter)
+            np.multiply(light, known[part], out=target[:, part])
 
     strips.run(work, *shape, pixels=STRIP_PIXELS // 2)
     return pilots
@@ -164,6 +179,19 @@ def logarithm(radiance: np.ndarray, exposure: float) -> np.ndarray:
     with np.errstate(over="ignore"):
         exposed = radiance * np.float32(exposure)
     return at_most(np.log1p(exposed, out=exposed), _MOST_LOG, out=exposed)
+
+
+def keep_pilot(pilot: np.ndarray, strips: Strips) -> np.ndarray:
+    """A pilot ``(3, h, w)`` as `Past` holds it."""
+    kept = np.empty((*pilot.shape[1:], 4), np.float32)
+
+    def work(rows: slice) -> None:
+        planes = strips.workspace.array("of a logarithm", (4, *pilot[0, rows].shape))
+        planes[:3], planes[3] = pilot[:, rows], 1
+        interleave(planes, out=kept[rows])
+
+    strips.run(work, *kept.shape[:2])
+    return kept
 
 
 def radiance_of(log: np.ndarray, exposure: float, strips: Strips) -> np.ndarray:
