@@ -71,10 +71,10 @@ class _Tiles:
 
     Attributes
     ----------
-    planes : (2, planes, columns + 2, pixels) float32
+    planes : (planes, columns + 2, 2, pixels) float32
         Color and `deviation` of the first half, those of the second, guides in their units, and
-        last `_FAR` around the frame; there the others are as the pixels at its edge. Each plane of
-        a row is one run of memory, so that a window's neighbouring tiles are, too.
+        last `_FAR` around the frame; there the others are as the pixels at its edge. A tile above
+        and one below are one run of memory, and so are those beside: a window is one, too.
     guides, explaining
         How many there are, and how many of them explain light.
     """
@@ -84,16 +84,16 @@ class _Tiles:
     explaining: int
 
     def windows(self, centers: range) -> np.ndarray:
-        """Windows of some centers, not copied: ``(count, planes, 2, pixels of a row)``."""
-        part = self.planes[:, :, centers.start :]
-        of_row, of_plane, of_tile, of_pixel = part.strides
-        shape = len(centers), part.shape[1], _SIDE, _SIDE * _TILE
-        return np.lib.stride_tricks.as_strided(part, shape, (of_tile, of_plane, of_row, of_pixel))
+        """Windows of some centers, not copied: ``(count, planes, pixels of four tiles)``."""
+        part = self.planes[:, centers.start :]
+        of_plane, of_tile, _, of_pixel = part.strides
+        shape = len(centers), len(part), _PIXELS
+        return np.lib.stride_tricks.as_strided(part, shape, (of_tile, of_plane, of_pixel))
 
     def centers(self, centers: range) -> np.ndarray:
-        """The pixels below and right of some centers, ``(count, planes, 1, 1)``."""
-        found = self.planes[1, :, centers.start + 1 : centers.stop + 1, 0]
-        return np.ascontiguousarray(found.T)[..., None, None]
+        """The pixels below and right of some centers, ``(count, planes, 1)``."""
+        found = self.planes[:, centers.start + 1 : centers.stop + 1, 1, 0]
+        return np.ascontiguousarray(found.T)[..., None]
 
 
 def pilots(halves: tuple[np.ndarray, np.ndarray], guides: Guides, strips: Strips) -> np.ndarray:
@@ -128,24 +128,24 @@ def pilots(halves: tuple[np.ndarray, np.ndarray], guides: Guides, strips: Strips
 
     def fit(some: slice) -> None:
         count = 2 * (_COLORS + 1) + len(guides.planes) + 1
-        planes = strips.workspace.array("tiles", (_SIDE, count, columns + 2, _TILE))
+        planes = strips.workspace.array("tiles", (count, columns + 2, _SIDE, _TILE))
         tiles = _Tiles(planes, len(guides.planes), guides.explaining)
-        shape = (2, _COLORS + 1, columns + 2, _TILE)
-        said = strips.workspace.array("said", (_SIDE, *shape))
-        below = strips.workspace.array("said below", shape)
-        _cut(halves, noise, guides, some.start - 1, planes[1], strips.workspace)
+        shape = (2, _COLORS + 1, columns + 2, _SIDE, _TILE)
+        said = strips.workspace.array("said", shape)
+        below = strips.workspace.array("said below", (*shape[:3], _TILE))
+        _cut(halves, noise, guides, some.start - 1, planes[:, :, 1], strips.workspace)
         for row in range(some.start, some.stop + 1):  # of centers, between two of tiles
             strips.watch.look()
-            planes[0] = planes[1]
-            _cut(halves, noise, guides, row, planes[1], strips.workspace)
+            planes[:, :, 0] = planes[:, :, 1]
+            _cut(halves, noise, guides, row, planes[:, :, 1], strips.workspace)
             said.fill(0)
             for left in range(0, columns + 1, _CENTERS):
                 centers = range(left, min(left + _CENTERS, columns + 1))
                 _say(tiles, centers, said, strips.workspace)
             if row > some.start:
-                below += said[0]
+                below += said[:, :, :, 0]
                 _blend(below, halves, found, row - 1)
-            below[:] = said[1]
+            below[:] = said[:, :, :, 1]
 
     # rows of centers between strips are fitted on either side
     strips.run(fit, rows, _TILE * columns, pixels=_ROWS * _TILE * columns)
@@ -195,7 +195,10 @@ def _cut(
     part[-1] = _FAR
     part[-1, (inside >= 0) & (inside < height), SPACING : SPACING + width] = 0
     by_tile = part.reshape(count, SPACING, columns, SPACING).transpose(0, 2, 1, 3)
-    tiles.reshape(*by_tile.shape)[...] = by_tile
+    # a view: each tile's pixels are one run
+    np.lib.stride_tricks.as_strided(
+        tiles, by_tile.shape, (*tiles.strides[:2], SPACING * tiles.itemsize, tiles.itemsize)
+    )[...] = by_tile
 
 
 def _blend(
@@ -243,61 +246,64 @@ def _say(tiles: _Tiles, chosen: range, sums: np.ndarray, workspace: Workspace) -
         Around the centers.
     chosen
         Which of a row.
-    sums : (2, 2, 4, columns + 2, pixels) float32
-        What is added to: in the tiles above and below, of either half.
+    sums : (2, 4, columns + 2, 2, pixels) float32
+        What is added to: of either half, in the tiles above and below.
     workspace
         Where what lines are fitted to lies: new memory would cost as much as the fit.
     """
     count, explain = len(chosen), 1 + _COLORS + tiles.explaining
     windows, centers = tiles.windows(chosen), tiles.centers(chosen)
-    size = windows.shape[2:]
     # what explains, 1, color and guides, then what is explained: one product gives all sums
-    variables = workspace.array("explain and explained", (count, explain + _COLORS, *size))
-    weighed = workspace.array("weighed", (count, explain, _PIXELS))
-    guides = workspace.array("guides of windows", (count, tiles.guides, *size))
+    shape = (count, explain + _COLORS, _PIXELS)
+    variables = workspace.array("explain and explained", shape)
+    weighed = workspace.array("weighed", (2, count, explain, _PIXELS))
+    guides = workspace.array("guides of windows", (count, tiles.guides, _PIXELS))
     of_guides = slice(-1 - tiles.guides, -1)
     np.subtract(windows[:, of_guides], centers[:, of_guides], out=guides)
-    apart = np.einsum("ncyx,ncyx->nyx", guides, guides)
+    apart = np.einsum("ncp,ncp->np", guides, guides)
     apart += windows[:, -1]
     variables[:, 0] = 1
     variables[:, 1 + _COLORS : explain] = guides[:, tiles.guides - tiles.explaining :]
+    normal = np.empty((2, count, explain, explain + _COLORS), np.float32)
     for half in range(2):
         own, other = (slice(first, first + _COLORS + 1) for first in (4 * half, 4 - 4 * half))
         variables[:, explain:] = windows[:, other][:, :_COLORS]
         weights = _explain(windows[:, own], centers[:, own], apart, variables)
-        flat = variables.reshape(count, -1, _PIXELS)
-        weighed[:, 0] = weights.reshape(count, _PIXELS)
-        np.multiply(flat[:, 1:explain], weighed[:, :1], out=weighed[:, 1:])
-        # beside three colors the weights themselves
-        lines = np.zeros((count, _COLORS + 1, explain), np.float32)
-        lines[:, :_COLORS], lines[:, _COLORS, 0] = _fit(flat, weighed), 1
-        said = np.matmul(lines, weighed, out=workspace.array("of lines", (count, 4, _PIXELS)))
-        by_tile = said.reshape(count, _COLORS + 1, _SIDE, _SIDE, _TILE).transpose(2, 3, 1, 0, 4)
-        for beside in range(_SIDE):
-            at = slice(chosen.start + beside, chosen.stop + beside)
-            sums[:, half, :, at] += by_tile[:, beside]
+        weighed[half, :, 0] = weights
+        np.multiply(variables[:, 1:explain], weights[:, None], out=weighed[half, :, 1:])
+        normal[half] = products(weighed[half], variables)
+    # beside three colors the weights themselves
+    lines = np.zeros((2, count, _COLORS + 1, explain), np.float32)
+    fitted = _fit(normal.reshape(2 * count, explain, -1))
+    lines[:, :, :_COLORS], lines[..., _COLORS, 0] = fitted.reshape(2, count, _COLORS, explain), 1
+    for half in range(2):
+        said = workspace.array("of lines", (count, _COLORS + 1, _PIXELS))
+        np.matmul(lines[half], weighed[half], out=said)
+        by_tile = said.reshape(count, _COLORS + 1, _SIDE, _SIDE, _TILE).transpose(2, 1, 0, 3, 4)
+        for beside, tile in enumerate(by_tile):
+            sums[half, :, chosen.start + beside : chosen.stop + beside] += tile
 
 
 def _explain(
     planes: np.ndarray, centers: np.ndarray, apart: np.ndarray, variables: np.ndarray
 ) -> np.ndarray:
-    """Fill in the color's variables (eq. 6); gives the weights (eq. 7), ``(count, y, x)``.
+    """Fill in the color's variables (eq. 6); gives the weights (eq. 7), ``(count, pixels)``.
 
     Parameters
     ----------
-    planes : (count, 4, y, x) float32
+    planes : (count, 4, pixels) float32
         A half, and its deviation.
-    centers : (count, 4, 1, 1) float32
+    centers : (count, 4, 1) float32
         The same of the centers.
-    apart : (count, y, x) float32
+    apart : (count, pixels) float32
         Squares of how far guides are from those of the center.
-    variables : (count, more than 4, y, x) float32
+    variables : (count, more than 4, pixels) float32
         The second to the fourth are written.
     """
     noise, own = planes[:, _COLORS], centers[:, _COLORS]
     colors = variables[:, 1 : 1 + _COLORS]
     np.subtract(planes[:, :_COLORS], centers[:, :_COLORS], out=colors)
-    squares = np.einsum("ncyx,ncyx->nyx", colors, colors)
+    squares = np.einsum("ncp,ncp->np", colors, colors)
     variance = np.square(noise)
     variance += own**2 + _NOISE**2
     squares /= variance
@@ -308,29 +314,33 @@ def _explain(
     return weights
 
 
-def _fit(variables: np.ndarray, weighed: np.ndarray) -> np.ndarray:
-    """Weighted least squares (eq. 4) of three planes: ``(count, 3, v)``.
+def _fit(sums: np.ndarray) -> np.ndarray:
+    """Weighted least squares (eq. 4) of three planes: ``(n, 3, v)``.
 
     Parameters
     ----------
-    variables : (count, v + 3, pixels) float32
-        The first of them 1; the last three are explained by the others.
-    weighed : (count, v, pixels) float32
-        What explains, times the weights.
+    sums : (n, v, v + 3) float32
+        Normal equations and their right sides, of variables the first of which is 1.
     """
-    explain = weighed.shape[1]
-    sums = products(weighed, variables).astype(np.float64)
-    normal, right = sums[..., :explain], sums[..., explain:]
-    total = normal[:, 0, 0].copy()
-    diagonal = np.einsum("nii->ni", normal)
-    diagonal[:, 1:] += RIDGE * total[:, None] + _LEAST_WEIGHT
-    diagonal[:, 0] += _LEAST_WEIGHT
-    lines = np.linalg.solve(normal, right)
-    wrong = ~np.isfinite(lines).all(axis=(1, 2))
+    explain = sums.shape[1]
+    # equations one behind the other: all of them are solved at once
+    matrix = sums.transpose(1, 2, 0).astype(np.float64, order="C")
+    total, mean = matrix[0, 0].copy(), matrix[0, explain:].copy()
+    for i in range(explain):
+        matrix[i, i] += _LEAST_WEIGHT + (RIDGE * total if i else 0)
+    # without pivots: matrices are symmetric and, with the ridge, positive
+    with np.errstate(all="ignore"):
+        for i in range(explain):
+            matrix[i, i + 1 :] /= matrix[i, i]
+            matrix[i + 1 :, i + 1 :] -= matrix[i + 1 :, i, None] * matrix[i, None, i + 1 :]
+        lines = matrix[:, explain:]
+        for i in range(explain - 1, 0, -1):
+            lines[:i] -= matrix[:i, i, None] * lines[None, i]
+    wrong = ~np.isfinite(lines).all(axis=(0, 1))
     if wrong.any():  # the weighted mean
-        lines[wrong] = 0
-        lines[wrong, 0] = right[wrong, 0] / (total[wrong, None] + _LEAST_WEIGHT)
-    return lines.transpose(0, 2, 1).astype(np.float32)
+        lines[..., wrong] = 0
+        lines[0][:, wrong] = mean[:, wrong] / (total[wrong] + _LEAST_WEIGHT)
+    return lines.transpose(2, 1, 0).astype(np.float32)
 
 
 def _limit(estimate: np.ndarray, explained: np.ndarray, inside: slice) -> None:
