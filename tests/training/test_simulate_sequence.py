@@ -14,7 +14,12 @@ from stillray.io.exr.read_write import read_channels, read_exr
 from stillray_training.examples import find_sequences
 from stillray_training.simulate import buffers, trace, variant
 from stillray_training.simulate.jobs import Job, run_job
-from stillray_training.simulate.sequence import SequenceOptions, is_complete, render_sequence
+from stillray_training.simulate.sequence import (
+    SequenceOptions,
+    is_complete,
+    jitters_of,
+    render_sequence,
+)
 from stillray_training.simulate.variant import load_mitsuba
 from tests.training.simulate_worlds import FRONT, everything, exact, moment, noisy, stage_of
 
@@ -281,6 +286,21 @@ def test_a_reference_of_twice_the_size_is_the_same_picture(mi):
     # what is left is the noise of hundreds of samples
     np.testing.assert_allclose(pooled, once, atol=0.35 * once.max())
     assert np.abs(pooled - once).mean() < 0.1 * once.mean()
+
+
+def test_jitter_begins_anywhere_but_in_a_recorded_film():
+    film = jitters_of(SequenceOptions(frames=3, jitter=True, cameras="film.json", seed=5))
+    np.testing.assert_allclose(film, [(0, 1 / 3 - 0.5), (-0.25, 2 / 3 - 0.5), (0.25, 1 / 9 - 0.5)])
+    first, again, other = (
+        np.array(jitters_of(SequenceOptions(frames=8, jitter=True, seed=seed)))
+        for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).max() > 0.1
+    for found in (first, other):
+        assert found.min() >= -0.5 and found.max() < 0.5
+        assert len(np.unique(found[:, 0])) == 8
+    assert not np.any(jitters_of(SequenceOptions(frames=2, seed=1)))
 
 
 def test_jitter_shifts_what_the_pixels_see(mi, stage):

@@ -41,6 +41,7 @@ _LAYERS = {
     "specular_albedo": ("specular_albedo.R", "specular_albedo.G", "specular_albedo.B"),
 }
 _FULL = ("depth.Z", "motion.X", "motion.Y")  # written as float: half rounds 500 pixels to 0.25
+_JITTERS = 1024  # Halton points that a sequence may begin at
 _SPEEDS = ([0.3, 1.0, 2.0], [0.25, 0.45, 0.3])  # factors on the speed and their probabilities
 _MOVE_ODDS = (0.12, 0.3, 0.28, 0.3)  # of MOVES, where none is asked for
 
@@ -193,7 +194,7 @@ def render_sequence(
     focus = stage.plan.world.lens.focus * distance
     folder.mkdir(parents=True, exist_ok=True)
     _sweep(folder)
-    jitters = [_jitter(frame) if options.jitter else np.zeros(2) for frame in range(options.frames)]
+    jitters = jitters_of(options)
     last = buffers.Moment(frame=options.frames - 1, path=path, focus=focus, jitter=np.zeros(2))
     clamp = _clamp(stage, options, last)
     for frame in range(options.first, options.frames):
@@ -313,11 +314,25 @@ def _sweep(folder: Path) -> None:
             part.unlink(missing_ok=True)
 
 
-def _jitter(frame: int) -> np.ndarray:
-    """Halton points of bases 2 and 3 in [-0.5, 0.5), the usual choice for upscaling."""
+def jitters_of(options: SequenceOptions) -> list[np.ndarray]:
+    """Offsets of the samples of each frame, pixels, in [-0.5, 0.5); 0 without jitter.
+
+    Halton points of bases 2 and 3, the usual choice for upscaling. They begin anywhere, as the seed
+    has it, but where cameras are recorded, whose frames are those of a film: a network that only
+    ever saw the first dozen points takes others for something else.
+    """
+    if not options.jitter:
+        return [np.zeros(2)] * options.frames
+    first = 0
+    if options.cameras is None:
+        first = int(np.random.default_rng([options.seed, 78]).integers(_JITTERS))
+    return [_halton(first + frame) for frame in range(options.frames)]
+
+
+def _halton(number: int) -> np.ndarray:
     point = []
     for base in (2, 3):
-        value, fraction, index = 0.0, 1.0, frame + 1
+        value, fraction, index = 0.0, 1.0, number + 1
         while index > 0:
             fraction /= base
             value += fraction * (index % base)
