@@ -298,7 +298,8 @@ def test_jitter_begins_anywhere_but_in_a_recorded_film():
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).max() > 0.1
     for found in (first, other):
-        assert found.min() >= -0.5 and found.max() < 0.5
+        assert found.min() >= -0.5
+        assert found.max() < 0.5
         assert len(np.unique(found[:, 0])) == 8
     assert not np.any(jitters_of(SequenceOptions(frames=2, seed=1)))
 
