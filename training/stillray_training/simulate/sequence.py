@@ -318,8 +318,8 @@ def jitters_of(options: SequenceOptions) -> list[np.ndarray]:
     """Offsets of the samples of each frame, pixels, in [-0.5, 0.5); 0 without jitter.
 
     Halton points of bases 2 and 3, the usual choice for upscaling. They begin anywhere, as the seed
-    has it, but where cameras are recorded, whose frames are those of a film: a network that only
-    ever saw the first dozen points takes others for something else.
+    has it, so that a network meets others than the first dozen; but where cameras are recorded,
+    whose frames are those of a film, at the first.
     """
     if not options.jitter:
         return [np.zeros(2)] * options.frames
