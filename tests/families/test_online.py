@@ -8,12 +8,20 @@ import pytest
 import stillray
 from stillray.arrays.strips import Strips
 from stillray.errors import InputError
-from stillray.families.contract import State
+from stillray.families.contract import Context, State
 from stillray.families.online_learning import Learned, Learner, Lesson, crop_of
-from stillray.families.online_past import Past, logarithm, radiance_of
+from stillray.families.online_past import (
+    Past,
+    keep_pilot,
+    logarithm,
+    pilots_of_past,
+    radiance_of,
+)
 from stillray.frame import Frame
 from stillray.models.registry import find_model
 from stillray.pipeline.denoiser import Denoiser
+from stillray.stages.repair import Buffers
+from stillray.stages.state import History
 from tests.conftest import make_frame
 
 
@@ -381,3 +389,27 @@ def test_light_stays_out_of_what_is_before_a_window(online, tmp_path):
     # two pixels from the edge; looked up bilinearly alone it would hold .9
     assert held["mean_a"][4:-4, 19, :3].max() < 0.25
     assert image[4:-4, 19].max() < 0.25
+
+
+@pytest.mark.parametrize("exposure", [0.3, 2.0])
+def test_pilots_of_the_past_are_seen_by_the_exposure_of_the_frame(rng, exposure):
+    """Light that stays is the same in a lesson, whatever the exposure has become meanwhile."""
+    height, width, before = 9, 12, 0.3
+    light = rng.exponential(2, (2, 3, height, width)).astype(np.float32)
+    strips = Strips(1)
+    histories = {
+        name: History(
+            mean=np.zeros((height, width, 4), np.float32), surface_guides=None, exposure=of
+        )
+        for name, of in (("first", 0.1), ("second", 0.9))  # the pilots' is between: 0.3
+    }
+    a, b = (keep_pilot(logarithm(each, before), strips) for each in light)
+    past = Past(**histories, pilot_a=a, pilot_b=b)
+    still = np.zeros((height, width, 2), np.float32)
+    buffers = Buffers(color=np.zeros((height, width, 3), np.float32), albedo=None, normal=None,
+                      depth=None, motion=still)  # fmt: skip
+    options = find_model("online").spec.temporal
+    found = pilots_of_past(past, buffers, exposure, options, Context(strips=strips), slice(2, 7))
+    wanted = np.log1p(light.reshape(6, height, width)[:, 2:7] * np.float64(exposure))
+    np.testing.assert_allclose(found[:6], wanted, rtol=1e-5, atol=1e-6)
+    assert (found[6] == 1).all()

@@ -115,7 +115,7 @@ def pilots_of_past(
             )
             if source is past.pilot_a:
                 known[part] = taken[3] > _LEAST_SHARE
-            light = taken[:3]
+            light = at_most(taken[:3], _MOST_LOG, out=taken[:3])  # of a state that was loaded
             if brighter != 1:
                 light = logarithm(np.expm1(light, out=light), brighter)
             np.multiply(light, known[part], out=target[:, part])
