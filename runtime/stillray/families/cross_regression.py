@@ -195,10 +195,7 @@ def _cut(
     part[-1] = _FAR
     part[-1, (inside >= 0) & (inside < height), SPACING : SPACING + width] = 0
     by_tile = part.reshape(count, SPACING, columns, SPACING).transpose(0, 2, 1, 3)
-    # a view: each tile's pixels are one run
-    np.lib.stride_tricks.as_strided(
-        tiles, by_tile.shape, (*tiles.strides[:2], SPACING * tiles.itemsize, tiles.itemsize)
-    )[...] = by_tile
+    tiles.reshape(by_tile.shape)[...] = by_tile  # a view: each tile's pixels are one run
 
 
 def _blend(

@@ -11,6 +11,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.stats import qmc
 
 from stillray.compare.display import DISPLAY_MEDIAN
 from stillray.errors import InputError
@@ -326,16 +327,6 @@ def jitters_of(options: SequenceOptions) -> list[np.ndarray]:
     first = 0
     if options.cameras is None:
         first = int(np.random.default_rng([options.seed, 78]).integers(_JITTERS))
-    return [_halton(first + frame) for frame in range(options.frames)]
-
-
-def _halton(number: int) -> np.ndarray:
-    point = []
-    for base in (2, 3):
-        value, fraction, index = 0.0, 1.0, number + 1
-        while index > 0:
-            fraction /= base
-            value += fraction * (index % base)
-            index //= base
-        point.append(value - 0.5)
-    return np.array(point)
+    points = qmc.Halton(d=2, scramble=False)
+    points.fast_forward(first + 1)  # the one before is a corner of the pixel
+    return list(points.random(options.frames) - 0.5)
