@@ -41,6 +41,8 @@ def oracle(estimates, parameters, thinned):
                     near = abs(dy) == abs(dx) == 1
                     if thinned and (dy % 2 or dx % 2) and not near:
                         continue
+                    if thinned and abs(dy) == abs(dx) == 4:
+                        continue
                     apart = ((guides[:, :, py, px] - guides[:, :, y, x]) ** 2).sum(1)
                     shared = apart[2] / bands[2] + apart[3] / bands[3]
                     shared += (dy * dy + dx * dx) / 25 / bands[4]
@@ -80,9 +82,9 @@ def test_narrow_bands_leave_pixels_as_they_are(rng):
     np.testing.assert_allclose(found, estimates.values.mean(0), atol=1e-6)
 
 
-def test_a_thinned_window_has_a_quarter_of_its_pixels_on_all_sides_alike():
+def test_a_thinned_window_has_a_fifth_of_its_pixels_on_all_sides_alike():
     assert len(taps(False)) == 121
-    assert len(taps(True)) == 29
+    assert len(taps(True)) == 25
     assert set(taps(True)) < set(taps(False))
     assert (0, 0) in taps(True)
     for turned in ([(x, y) for y, x in taps(True)], [(-y, x) for y, x in taps(True)]):

@@ -277,9 +277,11 @@ def test_a_small_frame_is_a_whole_crop_and_the_rest_does_not_count():
 
 def test_logarithms_come_back(rng):
     radiance = (rng.random((3, 4, 5)) * 10.0 ** rng.integers(-5, 6, (3, 4, 5))).astype(np.float32)
-    found = radiance_of(logarithm(radiance, 0.2), 0.2, Strips(1))
-    np.testing.assert_allclose(found[..., :3].transpose(2, 0, 1), radiance, rtol=2e-2, atol=1e-5)
-    assert (found[..., 3] == 1).all()
+    albedo = rng.random((4, 5, 3)).astype(np.float32)
+    for factor in (None, albedo):
+        found = radiance_of(logarithm(radiance, 0.2), 0.2, factor, Strips(1))
+        expected = radiance.transpose(1, 2, 0) * (1 if factor is None else factor)
+        np.testing.assert_allclose(found, expected, rtol=2e-2, atol=1e-5)
 
 
 def test_what_disagrees_has_no_past(online):

@@ -252,6 +252,42 @@ def test_frames_before_those_that_are_learned_from_make_their_past(tmp_path):
         ClipSampler(clip, small(frames=2, warm_frames=5))
 
 
+def test_a_long_past_is_that_of_the_sequences_that_have_one(tmp_path):
+    short, long = (
+        load_clip(render(tmp_path / f"{name}-0-0", frames=count), small(), Strips(1))
+        for name, count in (("short", 3), ("long", 9))
+    )
+    for reference in long.references:
+        reference.color[:] = 7.0
+    sampler = ClipSampler([short, long], small(frames=2, warm_frames=7, batch=2))
+    counts = []
+    for step in range(80):
+        batch = sampler.batch(step)
+        counts.append(len(batch))
+        of_long = batch[-1]["wanted"].min(axis=(1, 2, 3)) > 2
+        assert of_long.all() or len(batch) <= 3
+    assert set(counts) == set(range(2, 10))
+    assert 0.4 < np.mean([count <= 3 for count in counts]) < 0.8  # half are of the short one
+
+
+def test_where_nothing_moves_one_reference_is_enough(tmp_path):
+    folder = render(tmp_path / "still-0-0", frames=3)
+    for number in range(2):
+        (folder / f"ref_{number:04d}.exr").unlink()
+    record = json.loads((folder / RECORD).read_text())
+    still = [{**camera, "camera_to_world": [[1, 0], [0, 1]]} for camera in record["cameras"]]
+    moved = [*still[:2], {**still[2], "camera_to_world": [[1, 1], [0, 1]]}]
+    (folder / RECORD).write_text(json.dumps({**record, "moving": [], "cameras": still}))
+    clip = load_clip(folder, small(), Strips(1))
+    last = load_clip(render(tmp_path / "whole-0-0", frames=3), small(), Strips(1)).references[2]
+    for reference in clip.references:
+        np.testing.assert_array_equal(reference.color, last.color)
+    for changed in ({"moving": [], "cameras": moved}, {"moving": ["lamp"], "cameras": still}):
+        (folder / RECORD).write_text(json.dumps({**record, **changed}))
+        with pytest.raises(InputError, match="every frame must have a reference"):
+            load_clip(folder, small(), Strips(1))
+
+
 def test_training_learns_and_resumes(tmp_path):
     render(tmp_path / "data" / "plane-0-0")
     spec = small()

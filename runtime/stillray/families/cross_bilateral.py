@@ -56,14 +56,15 @@ def taps(thinned: bool) -> list[tuple[int, int]]:
     ----------
     thinned
         Whether only the center, its four diagonal neighbours, and of those beyond every other row
-        and column: 29 in place of 121 (docs/decisions.md has what that changes).
+        and column but the corners: 25 in place of 121 (docs/decisions.md has what that changes).
     """
     reach = range(-_REACH, _REACH + 1)
     window = [(y, x) for y in reach for x in reach]
     if not thinned:
         return window
     diagonal = [place for place in window if abs(place[0]) == abs(place[1]) == 1]
-    return sorted(diagonal + [(y, x) for y, x in window if y % 2 == x % 2 == 0])
+    others = [(y, x) for y, x in window if y % 2 == x % 2 == 0 and (y * y + x * x) < _REACH**2]
+    return sorted(diagonal + others)
 
 
 def cross_bilateral(

@@ -75,11 +75,14 @@ class _Tiles:
         Color and `deviation` of the first half, those of the second, guides in their units, and
         last `_FAR` around the frame; there the others are as the pixels at its edge. A tile above
         and one below are one run of memory, and so are those beside: a window is one, too.
+    below
+        Which of both rows is the lower one: rows take turns, so that none is copied.
     guides, explaining
         How many there are, and how many of them explain light.
     """
 
     planes: np.ndarray
+    below: int
     guides: int
     explaining: int
 
@@ -92,7 +95,7 @@ class _Tiles:
 
     def centers(self, centers: range) -> np.ndarray:
         """The pixels below and right of some centers, ``(count, planes, 1)``."""
-        found = self.planes[:, centers.start + 1 : centers.stop + 1, 1, 0]
+        found = self.planes[:, centers.start + 1 : centers.stop + 1, self.below, 0]
         return np.ascontiguousarray(found.T)[..., None]
 
 
@@ -129,23 +132,22 @@ def pilots(halves: tuple[np.ndarray, np.ndarray], guides: Guides, strips: Strips
     def fit(some: slice) -> None:
         count = 2 * (_COLORS + 1) + len(guides.planes) + 1
         planes = strips.workspace.array("tiles", (count, columns + 2, _SIDE, _TILE))
-        tiles = _Tiles(planes, len(guides.planes), guides.explaining)
         shape = (2, _COLORS + 1, columns + 2, _SIDE, _TILE)
         said = strips.workspace.array("said", shape)
-        below = strips.workspace.array("said below", (*shape[:3], _TILE))
-        _cut(halves, noise, guides, some.start - 1, planes[:, :, 1], strips.workspace)
+        said.fill(0)
+        first = some.start - 1
+        _cut(halves, noise, guides, first, planes[:, :, first % _SIDE], strips.workspace)
         for row in range(some.start, some.stop + 1):  # of centers, between two of tiles
             strips.watch.look()
-            planes[:, :, 0] = planes[:, :, 1]
-            _cut(halves, noise, guides, row, planes[:, :, 1], strips.workspace)
-            said.fill(0)
+            above, below = (row - 1) % _SIDE, row % _SIDE
+            _cut(halves, noise, guides, row, planes[:, :, below], strips.workspace)
+            said[:, :, :, below] = 0
+            tiles = _Tiles(planes, below, len(guides.planes), guides.explaining)
             for left in range(0, columns + 1, _CENTERS):
                 centers = range(left, min(left + _CENTERS, columns + 1))
                 _say(tiles, centers, said, strips.workspace)
-            if row > some.start:
-                below += said[:, :, :, 0]
-                _blend(below, halves, found, row - 1)
-            below[:] = said[:, :, :, 1]
+            if row > some.start:  # all lines around have spoken of the tiles above
+                _blend(said[:, :, :, above], halves, found, row - 1)
 
     # rows of centers between strips are fitted on either side
     strips.run(fit, rows, _TILE * columns, pixels=_ROWS * _TILE * columns)
@@ -244,7 +246,7 @@ def _say(tiles: _Tiles, chosen: range, sums: np.ndarray, workspace: Workspace) -
     chosen
         Which of a row.
     sums : (2, 4, columns + 2, 2, pixels) float32
-        What is added to: of either half, in the tiles above and below.
+        What is added to: of either half, in both rows of tiles.
     workspace
         Where what lines are fitted to lies: new memory would cost as much as the fit.
     """

@@ -31,7 +31,6 @@ from stillray.families.online_past import (
     picture_of_past,
     pilots_of_past,
     radiance_of,
-    remodulated,
 )
 from stillray.families.online_state import pack, unpack
 from stillray.frame import Frame
@@ -181,8 +180,8 @@ class OnlineModel:
                 valid=last[3],
                 edges=_edges(guides, context),
             )
-            irradiance = radiance_of(self.filter(estimates, theta, strips), exposure, strips)
-            image = remodulated(irradiance, albedo, strips)
+            filtered = self.filter(estimates, theta, strips)
+            image = radiance_of(filtered, exposure, albedo, strips)
 
         def warped(rows: slice) -> np.ndarray:
             assert plan.past is not None

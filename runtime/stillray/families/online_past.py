@@ -165,9 +165,9 @@ def picture_of_past(
         out[:3, rows] = logarithm(light, exposure).transpose(2, 0, 1)
         out[3, rows] = picture[rows, :, 3]
         for channel, target in enumerate(out[:3, rows]):
-            first, second = (np.ascontiguousarray(pilot[channel, near]) for pilot in pilots)
-            least = np.minimum(cv2.erode(first, _AROUND), cv2.erode(second, _AROUND))[own]
-            most = np.maximum(cv2.dilate(first, _AROUND), cv2.dilate(second, _AROUND))[own]
+            first, second = pilots[:, channel, near]
+            least = cv2.erode(np.minimum(first, second), _AROUND)[own]
+            most = cv2.dilate(np.maximum(first, second), _AROUND)[own]
             np.clip(target, least, most, out=target)
 
     context.strips.run(work, height, width, pixels=STRIP_PIXELS // 4)
@@ -194,19 +194,40 @@ def keep_pilot(pilot: np.ndarray, strips: Strips) -> np.ndarray:
     return kept
 
 
-def radiance_of(log: np.ndarray, exposure: float, strips: Strips) -> np.ndarray:
-    """`logarithm` undone: ``(3, h, w)`` to ``(h, w, 4)``, finite, 0 or more, and 1 last."""
-    radiance = np.empty((*log.shape[1:], 4), np.float32)
+def radiance_of(
+    log: np.ndarray, exposure: float, albedo: np.ndarray | None, strips: Strips
+) -> np.ndarray:
+    """`logarithm` undone, and the light multiplied by the albedo.
+
+    Parameters
+    ----------
+    log : (3, h, w) float32
+        Logarithms of exposed irradiance.
+    exposure
+        1 / irradiance.
+    albedo : (h, w, 3) float32 or None
+        None for 1.
+    strips
+        Where the work runs.
+
+    Returns
+    -------
+    (h, w, 3) float32
+        Finite, 0 or more.
+    """
+    radiance = np.empty((*log.shape[1:], 3), np.float32)
     kind = np.float32 if _ORDINARY[0] < exposure < _ORDINARY[1] else np.float64
 
     def work(rows: slice) -> None:
-        planes = strips.workspace.array("of a logarithm", (4, *log[0, rows].shape))
-        light, planes[3] = planes[:3], 1
+        light = strips.workspace.array("of a logarithm", log[:, rows].shape)
         np.expm1(np.clip(log[:, rows], 0, _MOST_LOG, out=light), out=light)
         with np.errstate(over="ignore"):
             np.divide(light, kind(exposure), out=light, casting="same_kind")
         np.minimum(light, MAX_RADIANCE, out=light)
-        interleave(planes, out=radiance[rows])
+        interleave(light, out=radiance[rows])
+        if albedo is not None:
+            radiance[rows] *= albedo[rows]
+            at_most(radiance[rows], MAX_RADIANCE, out=radiance[rows])
 
     strips.run(work, *log.shape[1:])
     return radiance
@@ -221,18 +242,3 @@ def exposed(mean: np.ndarray, exposure: float, strips: Strips) -> np.ndarray:
 
     strips.run(work, *mean.shape[:2], pixels=STRIP_PIXELS // 2)
     return planes
-
-
-def remodulated(irradiance: np.ndarray, albedo: np.ndarray | None, strips: Strips) -> np.ndarray:
-    """Radiance ``(h, w, 3)`` of irradiance ``(h, w, 4)``; albedo None for 1."""
-    radiance = np.empty((*irradiance.shape[:2], 3), np.float32)
-
-    def work(rows: slice) -> None:
-        if albedo is None:
-            radiance[rows] = irradiance[rows, :, :3]
-        else:
-            np.multiply(irradiance[rows, :, :3], albedo[rows], out=radiance[rows])
-            at_most(radiance[rows], MAX_RADIANCE, out=radiance[rows])
-
-    strips.run(work, *radiance.shape[:2])
-    return radiance

@@ -61,6 +61,8 @@ Sample = dict[str, np.ndarray]
 def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
     """Read a rendered sequence; targets, where there are some, take the place of references.
 
+    Where nothing moves, the last frame's reference is that of all.
+
     Raises
     ------
     InputError
@@ -72,7 +74,9 @@ def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
     references: list[Frame] = []
     exposures: list[float] = []
     units: list[float] = []
-    for path in frame_paths(sequence):
+    paths = frame_paths(sequence)
+    scale, shared = spec.decoder.scale, _stands_still(record)
+    for path in paths:
         frame = _frame(path, record)
         motion, depth = frame.motion, frame.depth
         assert motion is not None
@@ -84,7 +88,11 @@ def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
         color = bounded(frame.color, own, spec.transfer, spec.temporal)
         frame = replace(frame, color=color, motion=dilated(motion, depth, strips))
         frames.append(frame)
-        references.append(_reference(sequence, _number(path), frame, spec.decoder.scale))
+        if not (shared and references):
+            number = _number(paths[-1] if shared else path)
+            references.append(_reference(sequence, number, frame, scale))
+        else:
+            references.append(references[0])
         units.append(features.depth_scale(depth))
     return Clip(frames=frames, references=references, exposures=exposures, depth_units=units)
 
@@ -101,6 +109,13 @@ def _frame(path: Path, record: dict[str, Any]) -> Frame:
         return frame
     jitter = record["cameras"][_number(path)]["jitter"]
     return replace(frame, jitter=np.array(jitter, np.float32))
+
+
+def _stands_still(record: dict[str, Any]) -> bool:
+    """Whether neither the camera nor anything else of a sequence moves."""
+    places = [camera.get("camera_to_world") for camera in record["cameras"]]
+    moving = record.get("moving", True)
+    return not moving and all(place == places[0] for place in places)
 
 
 def _number(path: Path) -> int:
@@ -136,7 +151,8 @@ def _reference(sequence: Path, number: int, frame: Frame, scale: int) -> Frame:
 class ClipSampler:
     """Draws augmented patches of consecutive frames; the n-th batch depends on seed and n only.
 
-    A batch has the recipe's frames, after none to ``warm_frames`` others.
+    A batch has the recipe's frames, after none to ``warm_frames`` others, as far as the first of
+    its sequences has so many; the rest of it is of sequences that are as long.
 
     Parameters
     ----------
@@ -153,28 +169,35 @@ class ClipSampler:
         self._side = recipe.patch // self._scale
         for clip in clips:
             least = min(clip.frames[0].shape)
-            most = recipe.frames + recipe.warm_frames
-            if len(clip.frames) < most or least < self._side:
+            if len(clip.frames) < recipe.frames or least < self._side:
                 raise InputError(
-                    f"sequences must have {most} frames of {self._side} pixels each way, "
+                    f"sequences must have {recipe.frames} frames of {self._side} pixels each way, "
                     f"got {len(clip.frames)} of {least}"
                 )
+        longest = max(len(clip.frames) for clip in clips)
+        if longest < recipe.frames + recipe.warm_frames:
+            raise InputError(
+                f"one sequence at least must have {recipe.frames + recipe.warm_frames} frames "
+                f"(training.warm_frames {recipe.warm_frames}), the longest has {longest}"
+            )
 
     def batch(self, step: int) -> list[Sample]:
         """A batch of one training step: for each frame its arrays, ``(n, c, h, w)``."""
         recipe = self._spec.training
         rng = np.random.default_rng([recipe.seed, step])
-        warm = int(rng.integers(recipe.warm_frames + 1)) if recipe.warm_frames else 0
-        count = recipe.frames + warm
-        clips = [self._patch(rng, count) for _ in range(recipe.batch)]
+        first = self._clips[rng.integers(len(self._clips))]
+        warm = min(recipe.warm_frames, len(first.frames) - recipe.frames)
+        count = recipe.frames + int(rng.integers(warm + 1))
+        long = [clip for clip in self._clips if len(clip.frames) >= count]
+        others = [long[rng.integers(len(long))] for _ in range(recipe.batch - 1)]
+        clips = [self._patch(clip, rng, count) for clip in (first, *others)]
         return [
             {name: np.stack([clip[at][name] for clip in clips]) for name in clips[0][at]}
             for at in range(count)
         ]
 
-    def _patch(self, rng: np.random.Generator, count: int) -> list[Sample]:
+    def _patch(self, clip: Clip, rng: np.random.Generator, count: int) -> list[Sample]:
         recipe = self._spec.training
-        clip = self._clips[rng.integers(len(self._clips))]
         first = int(rng.integers(len(clip.frames) - count + 1))
         height, width = clip.frames[0].shape
         top = int(rng.integers(height - self._side + 1))
