@@ -88,11 +88,11 @@ def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
         color = bounded(frame.color, own, spec.transfer, spec.temporal)
         frame = replace(frame, color=color, motion=dilated(motion, depth, strips))
         frames.append(frame)
-        if not (shared and references):
+        if shared and references:
+            references.append(references[0])
+        else:
             number = _number(paths[-1] if shared else path)
             references.append(_reference(sequence, number, frame, scale))
-        else:
-            references.append(references[0])
         units.append(features.depth_scale(depth))
     return Clip(frames=frames, references=references, exposures=exposures, depth_units=units)
 
