@@ -3,6 +3,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections import Counter
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from stillray.io.exr.read_write import read_channels
 from stillray_training.simulate import __main__ as command
 from stillray_training.simulate.recipe import read_recipe
 from stillray_training.simulate.report import contact_sheet, write_report
+from stillray_training.simulate.sequence import open_world
 
 TINY = (
     "--frames",
@@ -209,8 +211,6 @@ def test_a_recipe_with_a_mistake_names_it(tmp_path, text, message):
 
 
 def test_the_training_recipe_asks_for_two_hundred_sequences_of_every_kind():
-    from importlib.resources import files
-
     path = files("stillray_training") / "simulate" / "recipes" / "train.toml"
     jobs = read_recipe(path)
     counts = Counter({"total": sum(job.views for job in jobs)})
@@ -242,3 +242,22 @@ def test_a_bundled_recipe_is_found_by_its_name_unless_a_file_has_it(tmp_path, mo
     assert [job.scene for job in read_recipe(Path("sun.toml"))] == ["court"]
     with pytest.raises(InputError, match=r"recipe must be a readable TOML file, got other\.toml"):
         read_recipe(Path("other.toml"))
+
+
+def test_nothing_moves_where_long_pasts_are_learned():
+    """One reference is that of all frames there."""
+    jobs = read_recipe(Path("upscale_held.toml"))
+    assert {job.options.move for job in jobs} == {"still"}
+    plan = next(job for job in jobs if (job.scene, job.seed) == ("room", 728003)).plan(None)
+    assert {"moving_light", "moving_object", "motion_blur"} < set(plan.world.effects)
+    assert not plan.motions
+    assert plan.shutter == 0
+
+
+def test_effects_left_out_are_those_of_the_scene_or_added(tmp_path):
+    path = tmp_path / "r.toml"
+    entry = '[[sequences]]\nscene = "court"\nfirst_seed = {}\nalso = ["sun", "medium"]\n'
+    path.write_text(entry.format(0) + entry.format(1) + 'without = ["sun", "texture"]\n')
+    every, without = (set(job.asks(open_world(None, job.scene, 0))) for job in read_recipe(path))
+    assert {"sun", "texture"} < every
+    assert without == every - {"sun", "texture"}

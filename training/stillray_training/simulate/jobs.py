@@ -33,6 +33,7 @@ class Job:
     views: int = 1  # sequences, each from another camera, 1 to 64
     effects: tuple[str, ...] | None = None  # exactly these; None: what the scene calls for
     also: tuple[str, ...] = ()  # on top of those, where the scene can show them
+    without: tuple[str, ...] = ()  # left out of those
     options: SequenceOptions = field(default_factory=SequenceOptions)
 
     def __post_init__(self) -> None:
@@ -40,7 +41,7 @@ class Job:
             raise InputError(f"seed must be 0 or more, got {self.seed}")
         if not 1 <= self.views <= _VIEWS:
             raise InputError(f"views must be 1 to {_VIEWS}, got {self.views}")
-        check_names((*(self.effects or ()), *self.also))
+        check_names((*(self.effects or ()), *self.also, *self.without))
 
     @property
     def label(self) -> str:
@@ -66,7 +67,7 @@ class Job:
         """The effects it asks for in its world."""
         names = world.effects if self.effects is None else self.effects
         can = [n for n in self.also if n in names or EFFECTS[n].missing(world) is None]
-        return check_names((*names, *can))
+        return check_names(name for name in (*names, *can) if name not in self.without)
 
 
 def run_job(

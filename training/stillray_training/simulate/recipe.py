@@ -12,6 +12,7 @@
     first_seed = 0
     views = 2                # sequences in each
     also = ["medium"]        # effects on top of those that the scene calls for
+    without = ["motion_blur"]  # those that are left out of these
     # effects = ["texture"]  # exactly these instead
     # options = { spp = 4 }
 """
@@ -29,7 +30,7 @@ from stillray_training.simulate.jobs import Job
 from stillray_training.simulate.sequence import SequenceOptions
 
 _BUNDLED = Path(__file__).parent / "recipes"
-_ENTRY = {"scene", "count", "first_seed", "views", "effects", "also", "options"}
+_ENTRY = {"scene", "count", "first_seed", "views", "effects", "also", "without", "options"}
 
 
 def read_recipe(path: Path) -> list[Job]:
@@ -78,6 +79,7 @@ def read_recipe(path: Path) -> list[Job]:
                 views=_whole(entry, "views", 1, where),
                 effects=tuple(entry["effects"]) if "effects" in entry else None,
                 also=tuple(entry.get("also", ())),
+                without=tuple(entry.get("without", ())),
                 options=_options(options, where),
             )
             while len(rounds) <= index:
