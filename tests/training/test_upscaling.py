@@ -270,6 +270,18 @@ def test_a_long_past_is_that_of_the_sequences_that_have_one(tmp_path):
     assert 0.4 < np.mean([count <= 3 for count in counts]) < 0.8  # half are of the short one
 
 
+def test_a_share_of_batches_begins_without_a_past(tmp_path):
+    clip = [load_clip(render(tmp_path / "plane-0-0", frames=9), small(), Strips(1))]
+    counts = {}
+    for share in (0.0, 0.5, 1.0):
+        spec = small(frames=2, warm_frames=7, fresh_share=share)
+        sampler = ClipSampler(clip, spec)
+        counts[share] = [len(sampler.batch(step)) for step in range(60)]
+    assert set(counts[0.0]) == set(counts[0.5]) == set(range(2, 10))
+    assert counts[0.0].count(2) < 20 < counts[0.5].count(2) < 45
+    assert set(counts[1.0]) == {2}
+
+
 def test_where_nothing_moves_one_reference_is_enough(tmp_path):
     folder = render(tmp_path / "still-0-0", frames=3)
     for number in range(2):

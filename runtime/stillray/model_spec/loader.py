@@ -533,6 +533,7 @@ class Training:
     lamp_share: float = 0.0
     frames: int = 1  # that a recurrent model is unrolled over
     warm_frames: int = 0  # most frames before those, which are run and not learned from
+    fresh_share: float = 0.0  # share of batches that have none of those, [0, 1]
     weight_decay: float = 0.0  # decoupled, see `torch.optim.AdamW`; >= 0
     optimiser: str = "adam"  # one of OPTIMISERS
     albedo_weight: float = 0.0  # weight of the error of accumulated albedos, >= 0
@@ -550,7 +551,7 @@ class Training:
             _within(f"training.{key}", getattr(self, key), 0, 1e3)
         for key in (
             "quiet_power", "average", "still_share", "quiet_share", "drop_feature", "plain_share",
-            "shade_share", "paint_share", "firefly_share", "lamp_share",
+            "shade_share", "paint_share", "firefly_share", "lamp_share", "fresh_share",
         ):  # fmt: skip
             _within(f"training.{key}", getattr(self, key), 0, 1)
         for key in ("steps", "batch", "patch", "frames"):

@@ -152,7 +152,8 @@ class ClipSampler:
     """Draws augmented patches of consecutive frames; the n-th batch depends on seed and n only.
 
     A batch has the recipe's frames, after none to ``warm_frames`` others, as far as the first of
-    its sequences has so many; the rest of it is of sequences that are as long.
+    its sequences has so many; the rest of it is of sequences that are as long. ``fresh_share`` of
+    the batches have none of those: first frames would be rare among long pasts.
 
     Parameters
     ----------
@@ -187,6 +188,8 @@ class ClipSampler:
         rng = np.random.default_rng([recipe.seed, step])
         first = self._clips[rng.integers(len(self._clips))]
         warm = min(recipe.warm_frames, len(first.frames) - recipe.frames)
+        if recipe.fresh_share and rng.random() < recipe.fresh_share:
+            warm = 0
         count = recipe.frames + int(rng.integers(warm + 1))
         long = [clip for clip in self._clips if len(clip.frames) >= count]
         others = [long[rng.integers(len(long))] for _ in range(recipe.batch - 1)]
