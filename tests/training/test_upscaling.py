@@ -35,7 +35,11 @@ from stillray_training.upscaling import (  # noqa: E402
     time_in_turn,
     unroll,
 )
-from stillray_training.upscaling.clips import ClipSampler, load_clip  # noqa: E402
+from stillray_training.upscaling.clips import (  # noqa: E402
+    ClipSampler,
+    load_clip,
+    of_several_samples,
+)
 from stillray_training.upscaling.price_list import Way, prices  # noqa: E402
 from stillray_training.upscaling.time_in_turn import times_in_turn  # noqa: E402
 
@@ -280,6 +284,54 @@ def test_a_share_of_batches_begins_without_a_past(tmp_path):
     assert set(counts[0.0]) == set(counts[0.5]) == set(range(2, 10))
     assert counts[0.0].count(2) < 20 < counts[0.5].count(2) < 45
     assert set(counts[1.0]) == {2}
+
+
+def still_clip(folder, frames=24):
+    """A clip of one view, as its frames would be that nothing moves in."""
+    render(folder, frames=1)
+    clip = load_clip(folder, small(), Strips(1))
+    rng = np.random.default_rng(3)
+    seen = [
+        replace(
+            clip.frames[0],
+            color=clip.references[0].color[::2, ::2] * rng.exponential(1.0, (10, 12, 1)),
+            jitter=rng.uniform(-0.5, 0.5, 2).astype(np.float32),
+        )
+        for _ in range(frames)
+    ]
+    every = {name: getattr(clip, name) * frames for name in ("references", "exposures")}
+    return replace(clip, frames=seen, depth_units=clip.depth_units * frames, still=True, **every)
+
+
+def test_frames_of_several_samples_have_less_noise_and_no_jitter(tmp_path):
+    clip = still_clip(tmp_path / "still-0-0")
+    box = cv2.resize(clip.references[0].color, (12, 10), interpolation=cv2.INTER_AREA)
+    own = np.mean([np.abs(frame.color - box).mean() for frame in clip.frames])
+    noises = []
+    for seed in range(40):
+        made = of_several_samples(clip, 3, np.random.default_rng(seed))
+        assert len(made.frames) == len(made.references) == len(made.exposures) == 3
+        assert not any(frame.jitter.any() for frame in made.frames)
+        errors = [frame.color - box for frame in made.frames]
+        noises.append(np.mean(np.abs(errors)) / own)
+        # frames share no sample
+        assert abs(np.corrcoef(errors[0].ravel(), errors[1].ravel())[0, 1]) < 0.4
+    assert min(noises) < 0.1
+    assert 0.3 < np.median(noises) < 0.9
+    assert max(noises) <= 1.1
+
+
+def test_frames_are_of_several_samples_in_a_share_of_still_patches(tmp_path):
+    clip = still_clip(tmp_path / "still-0-0")
+    recipe = {"frames": 3, "batch": 1, "plain_share": 0.0}
+    for share, still, expected in ((0.0, True, 0), (1.0, True, 10), (1.0, False, 0)):
+        sampler = ClipSampler([replace(clip, still=still)], small(mean_share=share, **recipe))
+        batches = [sampler.batch(step) for step in range(10)]
+        # where jitter is zero, samples lie a quarter of a frame's pixel away
+        without = [
+            np.allclose(np.abs(b["offset"]), np.abs(b["offset"]).max()) for (b, *_) in batches
+        ]
+        assert sum(without) == expected
 
 
 def test_where_nothing_moves_one_reference_is_enough(tmp_path):

@@ -529,6 +529,9 @@ class Training:
     paint_share: float = 0.0
     # share of patches of a recurrent model with fireflies, [0, 1]
     firefly_share: float = 0.0
+    # share of patches of a recurrent model, of those where nothing moves, whose frames are means of
+    # several, as of samples all over their pixels, [0, 1]
+    mean_share: float = 0.0
     # share of sequences into which small lamps are painted, of models of patches, [0, 1]
     lamp_share: float = 0.0
     frames: int = 1  # that a recurrent model is unrolled over
@@ -552,6 +555,7 @@ class Training:
         for key in (
             "quiet_power", "average", "still_share", "quiet_share", "drop_feature", "plain_share",
             "shade_share", "paint_share", "firefly_share", "lamp_share", "fresh_share",
+            "mean_share",
         ):  # fmt: skip
             _within(f"training.{key}", getattr(self, key), 0, 1)
         for key in ("steps", "batch", "patch", "frames"):

@@ -42,17 +42,21 @@ class Clip:
         1 / radiance, steadied as the runtime does.
     depth_units
         See `stillray.stages.features.depth_scale`.
+    still
+        Whether nothing moves: all frames have the same reference.
     """
 
     frames: list[Frame]
     references: list[Frame]
     exposures: list[float]
     depth_units: list[float]
+    still: bool = False
 
 
 _SWITCHED = 0.25  # share of the changes of light that are of all of it at once
 _BLACK = 0.3  # share of painted patches whose light is not painted
 _WANDERING = 0.5  # share of fireflies that come a pixel on with every frame
+_CLEANER = 4.0  # octaves of noise that means may lose
 _GUIDES = ("motion", "depth", "albedo", "normal", "roughness", "specular_albedo")
 #: A frame of a patch: arrays by name, channels first.
 Sample = dict[str, np.ndarray]
@@ -94,7 +98,13 @@ def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
             number = _number(paths[-1] if shared else path)
             references.append(_reference(sequence, number, frame, scale))
         units.append(features.depth_scale(depth))
-    return Clip(frames=frames, references=references, exposures=exposures, depth_units=units)
+    return Clip(
+        frames=frames,
+        references=references,
+        exposures=exposures,
+        depth_units=units,
+        still=shared,
+    )
 
 
 def _frame(path: Path, record: dict[str, Any]) -> Frame:
@@ -146,6 +156,45 @@ def _reference(sequence: Path, number: int, frame: Frame, scale: int) -> Frame:
         albedo=mean(reference.albedo),
         specular_albedo=mean(reference.specular_albedo),
     )
+
+
+def of_several_samples(clip: Clip, count: int, rng: np.random.Generator) -> Clip:
+    """A still clip of ``count`` frames that are means of as many of its own as there are for each,
+    or fewer.
+
+    Their samples lie all over their pixels, as those of most renderers do, so they have no jitter.
+    Half of the clips are nearer to their reference, up to a sixteenth of the noise.
+    """
+    most = len(clip.frames) // count
+    each = int(2 ** rng.uniform(0, np.log2(most + 1)))
+    noise = 2 ** -rng.uniform(0, _CLEANER) if rng.random() < 0.5 else 1.0
+    first = int(rng.integers(len(clip.frames) - count * each + 1))
+    frames = []
+    for number in range(count):
+        start = first + number * each
+        frame = _mean(clip.frames[start : start + each])
+        wanted = cv2.resize(
+            clip.references[start].color, frame.shape[::-1], interpolation=cv2.INTER_AREA
+        )
+        frames.append(replace(frame, color=wanted + np.float32(noise) * (frame.color - wanted)))
+    return replace(
+        clip,
+        frames=frames,
+        references=clip.references[:count],
+        exposures=clip.exposures[:count],
+        depth_units=clip.depth_units[:count],
+    )
+
+
+def _mean(frames: list[Frame]) -> Frame:
+    """One frame of the samples of several of the same view."""
+
+    def of(name: str) -> np.ndarray:
+        found: np.ndarray = np.mean([getattr(frame, name) for frame in frames], axis=0)
+        return found.astype(np.float32)
+
+    buffers: dict[str, Any] = {name: of(name) for name in ("color", *_GUIDES)}
+    return replace(frames[0], **buffers, jitter=np.zeros(2, np.float32))
 
 
 class ClipSampler:
@@ -201,6 +250,8 @@ class ClipSampler:
 
     def _patch(self, clip: Clip, rng: np.random.Generator, count: int) -> list[Sample]:
         recipe = self._spec.training
+        if clip.still and recipe.mean_share and rng.random() < recipe.mean_share:
+            clip = of_several_samples(clip, count, rng)
         first = int(rng.integers(len(clip.frames) - count + 1))
         height, width = clip.frames[0].shape
         top = int(rng.integers(height - self._side + 1))
