@@ -41,7 +41,7 @@ from stillray_training.start import origin_of
 OPSET = 18
 STEP_NAME = "cross-regression.onnx"
 #: What a step takes and gives, in the graph's order.
-INPUTS = ("weights", "first", "second", "step", "rate", "features", "past", "inside")
+INPUTS = ("weights", "first", "second", "step", "rate", "features", "halves", "inside")
 OUTPUTS = ("loss", "next_weights", "next_first", "next_second")
 
 
@@ -158,7 +158,7 @@ def _example(count: int, features: int) -> tuple[Tensor, ...]:
     generator = torch.Generator().manual_seed(0)
     weights = torch.rand(1, count, generator=generator) * 0.1
     planes = torch.rand(1, features, CROP, CROP, generator=generator)
-    past = torch.rand(1, 7, CROP, CROP, generator=generator)
+    halves = torch.rand(1, 6, CROP, CROP, generator=generator)
     return (
         weights,
         torch.zeros_like(weights),
@@ -166,7 +166,7 @@ def _example(count: int, features: int) -> tuple[Tensor, ...]:
         torch.ones(1),
         torch.full((1,), 1e-3),
         planes,
-        past,
+        halves,
         torch.ones(1, 1, CROP, CROP),
     )
 
@@ -241,7 +241,7 @@ def main(
         out / "steps" / STEP_NAME: step_file(spec),
     }
     for path, data in files.items():
-        path.parent.mkdir(exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_path(path) as temporary:
             temporary.write_bytes(data)
         print(f"{path}: {len(data) // 1024} KiB")

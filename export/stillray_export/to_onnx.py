@@ -187,7 +187,7 @@ def as_specified_now(trained: ModelSpec) -> ModelSpec:
     if now.family != trained.family or now.network != trained.network:
         return trained
     # rules as well: no output of the network is there for them
-    names = ("resolve_tone", "sharp_recall")
+    names = ("resolve_tone", "sharp_recall", "learning_rate")
     rules = {name: value for name, value in vars(trained.decoder).items() if name in names}
     if dataclasses.replace(now.decoder, **rules) != trained.decoder:
         return trained

@@ -16,6 +16,7 @@ from stillray.models.network import Network  # noqa: E402
 from stillray.models.onnx_file import parse_onnx  # noqa: E402
 from stillray.models.registry import find_model, steps_of  # noqa: E402
 from stillray_export.online import layout_of, mixed  # noqa: E402
+from stillray_training.decoders.cross_bilateral import cross_bilateral  # noqa: E402
 from stillray_training.networks.filter_parameters import (  # noqa: E402
     Differentiable,
     filter_parameters,
@@ -43,7 +44,7 @@ def network(model):
 
 
 def lesson(rng):
-    """A part of a frame: smooth light and noise of both halves; some of it without a past."""
+    """A part of a frame: smooth light and noise of both halves; some of it is beyond its edge."""
 
     def smooth():
         planes = cv2.resize(rng.random((8, 8, 3), np.float32), (CROP, CROP))
@@ -55,10 +56,9 @@ def lesson(rng):
     inside[..., 100:] = 0
     valid = rng.random((1, CROP, CROP)) < 0.8
     features = np.concatenate([*noisy[:2], smooth(), smooth(), light * valid])
-    past = np.concatenate([noisy[2] * valid, noisy[3] * valid, valid])
     return {
         "features": features[None].astype(np.float32),
-        "past": past[None].astype(np.float32),
+        "halves": np.concatenate(noisy[2:])[None].astype(np.float32),
         "inside": inside,
     }
 
@@ -90,13 +90,37 @@ def test_slopes_are_those_of_finite_differences(model, rng):
     how = Learning(layout=layout, loss_epsilon=LOSS_EPSILON, thinned=THINNED)
     weights = start(layout, 3).double()
     crop = {name: torch.from_numpy(a[..., :16, :16]).double() for name, a in lesson(rng).items()}
-    given = (crop["features"], crop["past"], crop["inside"])
+    given = (crop["features"], crop["halves"], crop["inside"])
     slopes = torch.func.grad(loss)(weights, *given, how)
     for index in (0, 1080, -50, -3, -1):
         step = torch.zeros_like(weights)
         step[index] = 1e-6
         change = loss(weights + step, *given, how) - loss(weights - step, *given, how)
         assert float(change) / 2e-6 == pytest.approx(float(slopes[index]), rel=1e-3, abs=1e-9)
+
+
+def test_the_loss_is_of_the_other_half_s_pilot_and_of_a_half_s_own_samples(model, rng):
+    """Pixel by pixel, as eq. 12 has it, two thirds and one third."""
+    layout = layout_of(model.spec)
+    how = Learning(layout=layout, loss_epsilon=LOSS_EPSILON, thinned=THINNED)
+    weights = start(layout, 3).double()
+    crop = {name: torch.from_numpy(a[..., 88:112]).double() for name, a in lesson(rng).items()}
+    features, halves, inside = (crop[name] for name in ("features", "halves", "inside"))
+    theta = filter_parameters(split(weights, layout), features)[0]
+    planes = features[0]
+    filtered, _ = cross_bilateral(planes[:6], planes[6:12], inside[0], theta, thinned=THINNED)
+    pilots, own = (given.reshape(2, 3, CROP, 24).numpy() for given in (planes[:6], halves[0]))
+    total = count = 0.0
+    for y, x in np.argwhere(inside[0, 0].numpy() > 0):
+        count += 1
+        total += float(theta[-1, y, x]) ** 2
+        for half in range(2):
+            for wanted, share in ((pilots[1 - half], 2 / 3), (own[half], 1 / 3)):
+                color = wanted[:, y, x]
+                square = ((filtered[half, :, y, x].numpy() - color) ** 2).sum()
+                total += share * square / ((color**2).sum() + 1e-2) / 2
+    value = float(loss(weights, features, halves, inside, how))
+    assert value == pytest.approx(total / count, rel=1e-9)
 
 
 def test_learned_weights_take_the_place_of_those_in_the_file(model, network, rng):

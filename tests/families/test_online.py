@@ -8,20 +8,12 @@ import pytest
 import stillray
 from stillray.arrays.strips import Strips
 from stillray.errors import InputError
-from stillray.families.contract import Context, State
+from stillray.families.contract import State
 from stillray.families.online_learning import Learned, Learner, Lesson, crop_of
-from stillray.families.online_past import (
-    Past,
-    keep_pilot,
-    logarithm,
-    pilots_of_past,
-    radiance_of,
-)
+from stillray.families.online_past import Past, exposure_of, logarithm, radiance_of
 from stillray.frame import Frame
 from stillray.models.registry import find_model
 from stillray.pipeline.denoiser import Denoiser
-from stillray.stages.repair import Buffers
-from stillray.stages.state import History
 from tests.conftest import make_frame
 
 
@@ -225,10 +217,10 @@ class Teacher:
     """An engine whose steps are as they are told to be."""
 
     def __init__(self, *losses, slope=0.0):
-        self.losses, self.slope, self.runs = list(losses), slope, 0
+        self.losses, self.slope, self.rates = list(losses), slope, []
 
     def run(self, graph, inputs):
-        self.runs += 1
+        self.rates.append(float(inputs["rate"][0]))
         loss = self.losses.pop(0) if self.losses else 1.0
         return {
             "loss": np.float32(loss),
@@ -241,7 +233,8 @@ class Teacher:
         pass
 
 
-LESSON = Lesson(np.zeros((1, 15, 12, 12), np.float32), (10, 11), None)
+HALVES = np.arange(6 * 10 * 11, dtype=np.float32).reshape(6, 10, 11)
+LESSON = Lesson(np.zeros((1, 15, 12, 12), np.float32), (10, 11), lambda part: HALVES[:, *part])
 
 
 @pytest.mark.parametrize(("loss", "slope"), [(np.nan, 0.1), (1.0, np.nan), (1.0, 1e6)])
@@ -265,14 +258,37 @@ def test_weights_that_have_become_worse_give_way_to_those_before(then, kept):
     np.testing.assert_array_equal(after.kept, after.weights)
 
 
+def test_steps_become_smaller_as_a_shot_goes_on():
+    for steps, share in ((0, 1), (32, 1 / 2), (480, 1 / 16)):
+        teacher = Teacher(1.0)
+        begun = dataclasses.replace(Learned.begin(np.ones(3, np.float32)), steps=steps)
+        Learner(teacher, rate=1e-3, seed=1).step(begun, LESSON)
+        assert teacher.rates[0] == pytest.approx(1e-3 * share)
+
+
+def test_a_lesson_has_what_each_half_has_accumulated(online, monkeypatch):
+    seen = []
+    monkeypatch.setattr(Learner, "step", lambda self, before, lesson: (before, seen.append(lesson)))
+    for number in range(3):
+        online.denoise(halves(24, 30, number))
+        past = online.state.temporal
+        part = slice(3, 20), slice(5, 28)
+        found = seen[-1].halves(part)
+        exposure = exposure_of(past.first, past.second)
+        for planes, half in zip((found[:3], found[3:]), (past.first, past.second), strict=True):
+            wanted = logarithm(half.mean[part][..., :3], exposure)
+            np.testing.assert_allclose(planes, wanted.transpose(2, 0, 1), rtol=1e-5, atol=1e-6)
+
+
 def test_a_small_frame_is_a_whole_crop_and_the_rest_does_not_count():
     crop = crop_of(LESSON, np.random.default_rng(0))
     assert {name: array.shape[1] for name, array in crop.items()} == {
-        "features": 15, "past": 7, "inside": 1,
+        "features": 15, "halves": 6, "inside": 1,
     }  # fmt: skip
     assert all(array.shape[2:] == (128, 128) for array in crop.values())
     assert crop["inside"].sum() == 10 * 11
     assert crop["inside"][0, 0, :10, :11].all()
+    np.testing.assert_array_equal(crop["halves"][0, :, :10, :11], HALVES)
 
 
 def test_logarithms_come_back(rng):
@@ -391,27 +407,3 @@ def test_light_stays_out_of_what_is_before_a_window(online, tmp_path):
     # two pixels from the edge; looked up bilinearly alone it would hold .9
     assert held["mean_a"][4:-4, 19, :3].max() < 0.25
     assert image[4:-4, 19].max() < 0.25
-
-
-@pytest.mark.parametrize("exposure", [0.3, 2.0])
-def test_pilots_of_the_past_are_seen_by_the_exposure_of_the_frame(rng, exposure):
-    """Light that stays is the same in a lesson, whatever the exposure has become meanwhile."""
-    height, width, before = 9, 12, 0.3
-    light = rng.exponential(2, (2, 3, height, width)).astype(np.float32)
-    strips = Strips(1)
-    histories = {
-        name: History(
-            mean=np.zeros((height, width, 4), np.float32), surface_guides=None, exposure=of
-        )
-        for name, of in (("first", 0.1), ("second", 0.9))  # the pilots' is between: 0.3
-    }
-    a, b = (keep_pilot(logarithm(each, before), strips) for each in light)
-    past = Past(**histories, pilot_a=a, pilot_b=b)
-    still = np.zeros((height, width, 2), np.float32)
-    buffers = Buffers(color=np.zeros((height, width, 3), np.float32), albedo=None, normal=None,
-                      depth=None, motion=still)  # fmt: skip
-    options = find_model("online").spec.temporal
-    found = pilots_of_past(past, buffers, exposure, options, Context(strips=strips), slice(2, 7))
-    wanted = np.log1p(light.reshape(6, height, width)[:, 2:7] * np.float64(exposure))
-    np.testing.assert_allclose(found[:6], wanted, rtol=1e-5, atol=1e-6)
-    assert (found[6] == 1).all()

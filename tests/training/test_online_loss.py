@@ -17,7 +17,7 @@ from stillray_training.online.step import LOSS_EPSILON, Learning, train_step  # 
 
 _SIZE = 24
 _INSIDE = torch.ones(1, 1, _SIZE, _SIZE)
-_RATE = 5e-3  # five times the model's: 32 frames are enough
+_RATE = 5e-3  # many times the model's: 32 frames are enough
 
 
 def pictures(frames, how):
@@ -35,12 +35,13 @@ def pictures(frames, how):
     clean = (0.3 + 0.4 * ((row // 6 + column // 6) % 2)).expand(3, _SIZE, _SIZE)
     weights = start(how.layout, 1)[None]
     state = (weights, torch.zeros_like(weights), torch.zeros_like(weights))
-    noise, guides = torch.zeros(2, 3, _SIZE, _SIZE), torch.full((6, _SIZE, _SIZE), 0.5)
-    past, picture = torch.zeros(1, 7, _SIZE, _SIZE), torch.zeros(3, _SIZE, _SIZE)
+    # of pilots, and of what explains them, whose noise they have not
+    noise, guides = torch.zeros(2, 2, 3, _SIZE, _SIZE), torch.full((6, _SIZE, _SIZE), 0.5)
+    picture = torch.zeros(3, _SIZE, _SIZE)
     rate = torch.tensor([_RATE])
     for count in range(1, frames + 1):
         noise += 0.6 * torch.randn(noise.shape, generator=generator)
-        both = (clean + noise / count).clamp_min(0).reshape(6, _SIZE, _SIZE)
+        both, halves = (clean + noise / count).clamp_min(0).reshape(2, 6, _SIZE, _SIZE)
         features = torch.cat([both, guides, picture])[None]
         theta = filter_parameters(split(state[0][0], how.layout), features)[0]
         filtered, _ = cross_bilateral(both, guides, _INSIDE[0], theta, thinned=THINNED)
@@ -48,8 +49,7 @@ def pictures(frames, how):
         picture = torch.lerp(picture, filtered.mean(0), share)
         yield float(share.mean()), float(((picture - clean) ** 2).mean())
         step = torch.tensor([float(count)])
-        _, *state = train_step(*state, step, rate, features, past, _INSIDE, how)
-        past = torch.cat([both, _INSIDE[0]])[None]
+        _, *state = train_step(*state, step, rate, features, halves[None], _INSIDE, how)
 
 
 def test_a_still_view_does_not_freeze():

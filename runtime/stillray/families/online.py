@@ -27,9 +27,7 @@ from stillray.families.online_past import (
     Past,
     exposed,
     exposure_of,
-    keep_pilot,
     picture_of_past,
-    pilots_of_past,
     radiance_of,
 )
 from stillray.families.online_state import pack, unpack
@@ -131,7 +129,7 @@ class OnlineModel:
             *(stage if stage.name != "repair" or not repairs else _stage(second, "repair")
               for stage in first.stages),
             Stage("regress", True, "each half of the samples explains the other"),
-            Stage("warp", moves, "the last picture and pilots, along motion" if moves
+            Stage("warp", moves, "the last picture, along motion" if moves
                   else _stage(first, "reproject").reason),
             Stage("encode", True, f"{len(self.spec.network.features)} planes for the network"),
             Stage("network", True, self.spec.name),
@@ -183,28 +181,23 @@ class OnlineModel:
             filtered = self.filter(estimates, theta, strips)
             image = radiance_of(filtered, exposure, albedo, strips)
 
-        def warped(rows: slice) -> np.ndarray:
-            assert plan.past is not None
-            options, buffers = self.spec.temporal, plan.first.buffers
-            return pilots_of_past(plan.past, buffers, exposure, options, context, rows)
+        def halves(part: tuple[slice, slice]) -> np.ndarray:
+            means = (prepared.history.mean[part], other.mean[part])
+            return np.concatenate([exposed(mean, exposure, strips) for mean in means])
 
         def finish() -> State:
             after: Learned | None = None
             if plan.runs("learn"):
                 with timed(context.timings, "learn"):
-                    taught = warped if plan.runs("warp") and plan.past is not None else None
-                    after = self._learn(learned, Lesson(planes, shape, taught), engine)
+                    after = self._learn(learned, Lesson(planes, shape, halves), engine)
             past: Past | None = None
             if plan.runs("remember"):
                 with timed(context.timings, "remember"):
-                    pilot_a, pilot_b = (keep_pilot(pilot, strips) for pilot in both)
                     output = previous_output.keep(image, strips)
                     past = Past(
                         first=replace(prepared.history, output=output),
                         # for its edges, which are those of both halves
                         second=replace(other, output=output),
-                        pilot_a=pilot_a,
-                        pilot_b=pilot_b,
                     )
             return State(shape=shape, temporal=past, learned=after)
 

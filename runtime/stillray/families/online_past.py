@@ -9,18 +9,13 @@ import cv2
 import numpy as np
 
 from stillray.arrays.bounds import at_most
-from stillray.arrays.strips import STRIP_PIXELS, Strips, interleave, planes_of, with_halo
+from stillray.arrays.strips import STRIP_PIXELS, Strips, interleave, with_halo
 from stillray.families.contract import Context
-from stillray.model_spec.loader import Temporal
-from stillray.stages import reproject as rep
-from stillray.stages.prepare import discontinuities
-from stillray.stages.repair import MAX_RADIANCE, Buffers
+from stillray.stages.repair import MAX_RADIANCE
 from stillray.stages.state import History
 
 _MOST_LOG = np.float32(60)  # of exposed radiance: exp of it is a float32
 _ORDINARY = (1e-30, 1e30)  # exposures that a float32 may be divided by
-#: Of the four taps around a place, the share that must show the same surface for it to be known.
-_LEAST_SHARE = 0.1
 _AROUND = np.ones((3, 3), np.uint8)
 
 
@@ -33,95 +28,15 @@ class Past:
     first, second : History
         What either half has accumulated, each of its own samples alone. Geometry, the mean albedo
         and the last picture are the first's.
-    pilot_a, pilot_b : (h, w, 4) float32
-        The last pilots, logarithms of irradiance by `exposure`, and 1.
     """
 
     first: History
     second: History
-    pilot_a: np.ndarray
-    pilot_b: np.ndarray
-
-    @property
-    def exposure(self) -> float:
-        """Of the last frame's pilots."""
-        return exposure_of(self.first, self.second)
 
 
 def exposure_of(first: History, second: History) -> float:
     """Of both halves alike: pictures do not depend on which is called the first."""
     return math.sqrt(first.exposure) * math.sqrt(second.exposure)
-
-
-def pilots_of_past(
-    past: Past,
-    buffers: Buffers,
-    exposure: float,
-    options: Temporal,
-    context: Context,
-    asked: slice,
-) -> np.ndarray:
-    """The last pilots, along motion; a surface that disagrees by normal or depth was not seen.
-
-    Parameters
-    ----------
-    past
-        Of the last frame, of this frame's size.
-    buffers
-        Of this frame, with motion.
-    exposure
-        Of this frame.
-    options
-        When geometry disagrees.
-    context
-        Where the work runs.
-    asked
-        Rows that are wanted.
-
-    Returns
-    -------
-    (7, rows, w) float32
-        Logarithms of exposed irradiance, and last 1 where these pixels' surface was seen, or 0.
-    """
-    motion, strips = buffers.motion, context.strips
-    assert motion is not None
-    shape = asked.stop - asked.start, motion.shape[1]
-    guides = past.first.surface_guides
-    compares = guides is not None and (buffers.normal is not None or buffers.depth is not None)
-    rough: np.ndarray | None = None
-    if guides is not None and compares and motion.any():
-        rough = discontinuities(guides, strips, context.workspace)
-    pilots = context.workspace.array("warped pilots", (7, *shape))
-    known = pilots[-1]
-    sources = ((past.pilot_a, pilots[:3]), (past.pilot_b, pilots[3:6]))
-    brighter = exposure / past.exposure
-
-    def work(part: slice) -> None:
-        rows = slice(asked.start + part.start, asked.start + part.stop)
-        now: np.ndarray | None = None
-        if compares:
-            now = rep.surface_guide_planes(
-                None if buffers.normal is None else buffers.normal[rows],
-                None if buffers.depth is None else buffers.depth[rows],
-                strips.workspace,
-            )
-        at = rep.positions_of(motion[rows], rows) if motion[rows].any() else None
-        before = guides if compares else None
-        for source, target in sources:
-            previous = rep.PreviousFrame(source, before, rough)
-            taken = planes_of(
-                rep.reproject(previous, now, at, rows, options, strips.workspace),
-                out=strips.workspace.array("found", (4, *known[part].shape)),
-            )
-            if source is past.pilot_a:
-                known[part] = taken[3] > _LEAST_SHARE
-            light = at_most(taken[:3], _MOST_LOG, out=taken[:3])  # of a state that was loaded
-            if brighter != 1:
-                light = logarithm(np.expm1(light, out=light), brighter)
-            np.multiply(light, known[part], out=target[:, part])
-
-    strips.run(work, *shape, pixels=STRIP_PIXELS // 2)
-    return pilots
 
 
 def picture_of_past(
@@ -179,19 +94,6 @@ def logarithm(radiance: np.ndarray, exposure: float) -> np.ndarray:
     with np.errstate(over="ignore"):
         exposed = radiance * np.float32(exposure)
     return at_most(np.log1p(exposed, out=exposed), _MOST_LOG, out=exposed)
-
-
-def keep_pilot(pilot: np.ndarray, strips: Strips) -> np.ndarray:
-    """A pilot ``(3, h, w)`` as `Past` holds it."""
-    kept = np.empty((*pilot.shape[1:], 4), np.float32)
-
-    def work(rows: slice) -> None:
-        planes = strips.workspace.array("of a logarithm", (4, *pilot[0, rows].shape))
-        planes[:3], planes[3] = pilot[:, rows], 1
-        interleave(planes, out=kept[rows])
-
-    strips.run(work, *kept.shape[:2])
-    return kept
 
 
 def radiance_of(

@@ -14,7 +14,7 @@ from stillray.stages.history_rejection import Noise
 from stillray.stages.state import History
 
 _VECTORS = ("weights", "first", "second", "kept")
-_PLANES = ("mean_a", "mean_b", "output", "log_pilot_a", "log_pilot_b")
+_PLANES = ("mean_a", "mean_b", "output")
 _MOST_PIXELS = 2**16  # of a side
 
 
@@ -31,7 +31,6 @@ def pack(state: State) -> dict[str, np.ndarray]:
     if not isinstance(state.temporal, Past):
         return arrays
     past = state.temporal
-    arrays |= {"log_pilot_a": past.pilot_a, "log_pilot_b": past.pilot_b}
     for name, history in (("a", past.first), ("b", past.second)):
         arrays[f"mean_{name}"] = history.mean
         arrays[f"exposure_{name}"] = _split(history.exposure)
@@ -121,9 +120,7 @@ def _past(arrays: Mapping[str, np.ndarray]) -> Past | None:
         )
         for half in "ab"
     )
-    return Past(
-        first=first, second=second, pilot_a=arrays["log_pilot_a"], pilot_b=arrays["log_pilot_b"]
-    )
+    return Past(first=first, second=second)
 
 
 def _noise(arrays: Mapping[str, np.ndarray], half: str) -> Noise | None:

@@ -7,7 +7,6 @@ denoising them and doubling by Lanczos then; references have the frames' own siz
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,12 +22,11 @@ from stillray.compare.metrics import METRICS
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.models.registry import for_single_frames
-from stillray.pipeline.denoiser import Denoiser
 from stillray_training.evaluate.__main__ import find_all
 from stillray_training.evaluate.cases import WITHOUT_PAST, Case, titles
 from stillray_training.evaluate.scores import write_shown
 from stillray_training.peers.oidn import open_image_denoise
-from stillray_training.upscaling.compare import ENLARGED, OIDN, mean
+from stillray_training.upscaling.compare import ENLARGED, OIDN, denoised, mean
 from stillray_training.upscaling.enlarge import enlarge
 
 MEASURED = ("psnr", "ssim", "smape", "flip", "bias")
@@ -96,30 +94,24 @@ def measure(
     height, width = (side * _TIMES for side in frames[-1].shape)
     reference = references[-1][:height, :width]
     alone = case.kind in WITHOUT_PAST
+    name, scale, ours = denoised(model, frames)
+    if scale != _TIMES:
+        raise InputError(f"model must double what it is given, got {name}")
+    title, _, first = denoised(for_single_frames(flagship) if alone else flagship, frames)
     methods = {
-        model: _last(model, frames),
-        ENLARGED.format(flagship): enlarge(
-            _last(for_single_frames(flagship) if alone else flagship, frames), _TIMES
-        ),
+        name: ours[-1],
+        ENLARGED.format(title): enlarge(first[-1], _TIMES),
         ENLARGED.format(OIDN): enlarge(_oidn(frames[-1]), _TIMES),
     }
-    if methods[model].shape != reference.shape:
-        raise InputError(f"model must double what it is given, got {model}")
     if pictures is not None:
-        title = f"{case.title}-{case.name}".replace(" ", "-").replace(",", "")
+        where = f"{case.title}-{case.name}".replace(" ", "-").replace(",", "")
         noisy = np.repeat(np.repeat(frames[-1].color, _TIMES, 0), _TIMES, 1)
         for name, image in {"noisy": noisy, **methods, "reference": reference}.items():
-            write_shown(pictures, f"{title}-{name}", image, reference)
+            write_shown(pictures, f"{where}-{name}", image, reference)
     return {
         name: metrics.evaluate([image], [reference], names=MEASURED)
         for name, image in methods.items()
     }
-
-
-def _last(model: str, frames: Sequence[Frame]) -> np.ndarray:
-    with Denoiser(model) as denoiser:
-        images = [denoiser.denoise(frame) for frame in frames]
-    return images[-1]
 
 
 def _oidn(frame: Frame) -> np.ndarray:
