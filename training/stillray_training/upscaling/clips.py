@@ -169,13 +169,11 @@ def of_several_samples(clip: Clip, count: int, rng: np.random.Generator) -> Clip
     each = int(2 ** rng.uniform(0, np.log2(most + 1)))
     noise = 2 ** -rng.uniform(0, _CLEANER) if rng.random() < 0.5 else 1.0
     first = int(rng.integers(len(clip.frames) - count * each + 1))
+    size = clip.frames[0].shape[::-1]
+    wanted = cv2.resize(clip.references[0].color, size, interpolation=cv2.INTER_AREA)
     frames = []
-    for number in range(count):
-        start = first + number * each
+    for start in range(first, first + count * each, each):
         frame = _mean(clip.frames[start : start + each])
-        wanted = cv2.resize(
-            clip.references[start].color, frame.shape[::-1], interpolation=cv2.INTER_AREA
-        )
         frames.append(replace(frame, color=wanted + np.float32(noise) * (frame.color - wanted)))
     return replace(
         clip,

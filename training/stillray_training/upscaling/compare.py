@@ -8,7 +8,7 @@ two last ones.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -81,21 +81,45 @@ def compared(sequence: Path, model: str, flagship: str, full: Path | None = None
     frames = frames_of(sequence)
     paths = sorted(sequence.glob("target_*.exr")) or sorted(sequence.glob("ref_*.exr"))
     references = [read_exr(path).color for path in paths[-PICTURES:]]
-    (name, scale, ours), (title, _, first) = denoised(model, frames), denoised(flagship, frames)
+    scale, methods = enlarged(frames, model, flagship)
     size = tuple(side * scale for side in frames[-1].shape)
     if len(references) < PICTURES or references[-1].shape[:2] != size:
         raise InputError(f"{sequence}: the last {PICTURES} frames must have references {size}")
-    methods = {name: ours}
-    for method, images in ((title, first), (OIDN, _oidn(frames))):
-        methods[ENLARGED.format(method)] = [enlarge(image, scale) for image in images]
     if full is not None:
         traced = frames_of(full / scene_of(sequence))
         if not traced or traced[-1].shape != size:
             raise InputError(f"full must hold {sequence.name}'s scene of {size}, got {full}")
-        methods[TRACED.format(title)] = denoised(flagship, traced)[2]
+        title, _, images = denoised(flagship, traced)
+        methods[TRACED.format(title)] = images
         methods[TRACED.format(OIDN)] = _oidn(traced)
-    noisy = np.repeat(np.repeat(frames[-1].color, scale, 0), scale, 1)
-    return Compared(noisy, methods, references)
+    return Compared(larger_pixels(frames[-1].color, scale), methods, references)
+
+
+def enlarged(
+    frames: list[Frame], model: str, flagship: str
+) -> tuple[int, dict[str, list[np.ndarray]]]:
+    """A model's scale, and its last pictures by its name, beside those that Lanczos enlarges.
+
+    Parameters
+    ----------
+    frames
+        In order.
+    model
+        What enlarges.
+    flagship
+        Whose pictures Lanczos enlarges, and Open Image Denoise's.
+    """
+    (name, scale, ours), (title, _, first) = denoised(model, frames), denoised(flagship, frames)
+    methods = {name: ours}
+    for method, images in ((title, first), (OIDN, _oidn(frames))):
+        methods[ENLARGED.format(method)] = [enlarge(image, scale) for image in images]
+    return scale, methods
+
+
+def larger_pixels(image: np.ndarray, times: int) -> np.ndarray:
+    """An image ``(h, w, 3)`` at some times its size, each pixel as it is."""
+    larger: np.ndarray = np.repeat(np.repeat(image, times, 0), times, 1)
+    return larger
 
 
 def scene_of(sequence: Path) -> str:
@@ -118,13 +142,32 @@ def measure(
         Folder for tone-mapped PNGs of the last frame.
     """
     found = compared(sequence, model, flagship, full)
+    return scores(found, SEEN, pictures, sequence.name)
+
+
+def scores(
+    found: Compared, names: Sequence[str], pictures: Path | None, title: str
+) -> dict[str, dict[str, float]]:
+    """Metrics by method.
+
+    Parameters
+    ----------
+    found
+        As many pictures of each method as there are references.
+    names
+        Of the metrics.
+    pictures
+        Folder for tone-mapped PNGs of the last pictures; None for none.
+    title
+        What their names begin with.
+    """
     if pictures is not None:
         last = {method: images[-1] for method, images in found.methods.items()}
         reference = found.references[-1]
         for name, image in {"noisy": found.noisy, **last, "reference": reference}.items():
-            write_shown(pictures, f"{sequence.name}-{name}", image, reference)
+            write_shown(pictures, f"{title}-{name}", image, reference)
     return {
-        method: metrics.evaluate(images, found.references, names=SEEN)
+        method: metrics.evaluate(images, found.references, names=names)
         for method, images in found.methods.items()
     }
 
@@ -175,10 +218,13 @@ def main(
     if as_json:
         print(json.dumps(found, indent=1))
         return
-    table = Table(title=f"{len(sequences)} sequences, means")
+    tell(found, f"{len(sequences)} sequences, means")
+
+
+def tell(found: Mapping[str, Mapping[str, float]], title: str) -> None:
+    """Print metrics by method."""
     shown = [metric for metric in METRICS if metric.name in next(iter(found.values()))]
-    for title in ("method", *(metric.title for metric in shown)):
-        table.add_column(title)
+    table = Table("method", *(metric.title for metric in shown), title=title)
     for method, values in found.items():
         table.add_row(method, *(format(values[metric.name], metric.format) for metric in shown))
     Console(width=120).print(table)

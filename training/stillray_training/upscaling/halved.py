@@ -13,21 +13,21 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from stillray.cli import program
-from stillray.compare import metrics
-from stillray.compare.metrics import METRICS
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.models.registry import for_single_frames
 from stillray_training.evaluate.__main__ import find_all
 from stillray_training.evaluate.cases import WITHOUT_PAST, Case, titles
-from stillray_training.evaluate.scores import write_shown
-from stillray_training.peers.oidn import open_image_denoise
-from stillray_training.upscaling.compare import ENLARGED, OIDN, denoised, mean
-from stillray_training.upscaling.enlarge import enlarge
+from stillray_training.upscaling.compare import (
+    Compared,
+    enlarged,
+    larger_pixels,
+    mean,
+    scores,
+    tell,
+)
 
 MEASURED = ("psnr", "ssim", "smape", "flip", "bias")
 _TIMES = 2
@@ -94,28 +94,14 @@ def measure(
     height, width = (side * _TIMES for side in frames[-1].shape)
     reference = references[-1][:height, :width]
     alone = case.kind in WITHOUT_PAST
-    name, scale, ours = denoised(model, frames)
+    taken = for_single_frames(flagship) if alone else flagship
+    scale, methods = enlarged(frames, model, taken)
     if scale != _TIMES:
-        raise InputError(f"model must double what it is given, got {name}")
-    title, _, first = denoised(for_single_frames(flagship) if alone else flagship, frames)
-    methods = {
-        name: ours[-1],
-        ENLARGED.format(title): enlarge(first[-1], _TIMES),
-        ENLARGED.format(OIDN): enlarge(_oidn(frames[-1]), _TIMES),
-    }
-    if pictures is not None:
-        where = f"{case.title}-{case.name}".replace(" ", "-").replace(",", "")
-        noisy = np.repeat(np.repeat(frames[-1].color, _TIMES, 0), _TIMES, 1)
-        for name, image in {"noisy": noisy, **methods, "reference": reference}.items():
-            write_shown(pictures, f"{where}-{name}", image, reference)
-    return {
-        name: metrics.evaluate([image], [reference], names=MEASURED)
-        for name, image in methods.items()
-    }
-
-
-def _oidn(frame: Frame) -> np.ndarray:
-    return open_image_denoise(frame.color, frame.albedo, frame.normal, "high")
+        raise InputError(f"model must double what it is given, got {next(iter(methods))}")
+    last = {name: images[-1:] for name, images in methods.items()}
+    found = Compared(larger_pixels(frames[-1].color, _TIMES), last, [reference])
+    title = f"{case.title}-{case.name}".replace(" ", "-").replace(",", "")
+    return scores(found, MEASURED, pictures, title)
 
 
 def main(
@@ -128,14 +114,9 @@ def main(
 ) -> None:
     """Measure a model that doubles on frames that were not rendered for it."""
     cases = find_all(folders)
-    shown = [metric for metric in METRICS if metric.name in MEASURED]
     for title in titles(cases):
         of_set = [case for case in cases if case.title == title]
-        found = mean([measure(case, model, flagship, pictures) for case in of_set])
-        table = Table("method", *(metric.title for metric in shown), title=title)
-        for method, values in found.items():
-            table.add_row(method, *(format(values[metric.name], metric.format) for metric in shown))
-        Console(width=120).print(table)
+        tell(mean([measure(case, model, flagship, pictures) for case in of_set]), title)
 
 
 if __name__ == "__main__":
