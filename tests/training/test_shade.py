@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 
@@ -22,8 +23,33 @@ def test_a_shade_moves_and_leaves_a_part_of_the_light_and_of_the_picture(seed):
         assert 0.05 < untouched < 0.98
         # darker inside or brighter, not both
         assert shade.max() < 1 + 1e-6 or shade.min() > 1 - 1e-6
-    moved = [np.abs(np.log(a / b)).max() for a, b in pairwise(shades)]
-    assert min(moved) > 0
+    moved = _moved(shades)
+    # once it moves it goes on
+    assert moved[-1] > 0
+    assert (np.diff(moved > 0) >= 0).all()
+
+
+def _moved(shades: list[np.ndarray]) -> np.ndarray:
+    return np.array([np.abs(np.log(a / b)).max() for a, b in pairwise(shades)])
+
+
+def test_shades_move_at_once_or_wait_for_one_of_the_last_eight_frames():
+    drawn = [moving_shade((40, 40), 30, np.random.default_rng(seed)) for seed in range(40)]
+    still = np.array([np.flatnonzero(_moved(shades) > 0)[0] for shades in drawn])
+    assert 10 < (still == 0).sum() < 30
+    assert set(still[still > 0]) <= set(range(21, 29))
+    assert len(set(still)) > 5
+
+
+def test_speeds_are_of_frames_on_a_larger_picture_too():
+    """What a shade of the same draw changes, frame by frame, is that of the smaller picture."""
+    one, two = (
+        moving_shade((64 * scale,) * 2, 3, np.random.default_rng(5), scale=scale)
+        for scale in (1, 2)
+    )
+    for small, large in zip(one, two, strict=True):
+        shrunk = cv2.resize(large[..., 0], (64, 64), interpolation=cv2.INTER_AREA)
+        assert np.abs(shrunk - small[..., 0]).mean() < 0.02
 
 
 def test_shades_differ_in_strength_and_edge():

@@ -8,7 +8,9 @@ import numpy as np
 _DARKEST = 0.1  # of the light that is left inside, the least
 _BRIGHT = 0.3  # share of shades that are brighter inside, not darker
 _PARTS = (0.1, 0.7)  # of the picture that is inside
-_SPEEDS = (1.0, 12.0)  # pixels a frame
+_SPEEDS = (1.0, 16.0)  # pixels a frame
+_WAITING = 0.5  # share of shades that stand still at first: a long past holds until they move
+_LATEST = 8  # of the last frames, in one of which those begin to move
 _SOFTEST = 0.5  # width of the edge in standard deviations of the field that makes the shape
 
 
@@ -34,7 +36,9 @@ def switched(shape: tuple[int, int], frames: int, rng: np.random.Generator) -> l
     ]
 
 
-def moving_shade(shape: tuple[int, int], frames: int, rng: np.random.Generator) -> list[np.ndarray]:
+def moving_shade(
+    shape: tuple[int, int], frames: int, rng: np.random.Generator, *, scale: int = 1
+) -> list[np.ndarray]:
     """Factors of the light of some frames in a row.
 
     Parameters
@@ -44,7 +48,10 @@ def moving_shade(shape: tuple[int, int], frames: int, rng: np.random.Generator) 
     frames
         How many.
     rng
-        Draws the shape, its edge from hard to soft, how much light is left inside, and its way.
+        Draws the shape, its edge from hard to soft, how much light is left inside, its way, and
+        when it begins to move.
+    scale
+        Pixels of ``shape`` to one of a frame: speeds are of frames.
 
     Returns
     -------
@@ -60,10 +67,13 @@ def moving_shade(shape: tuple[int, int], frames: int, rng: np.random.Generator) 
     if rng.random() < _BRIGHT:
         stops = -stops
     angle = rng.uniform(0, 2 * np.pi)
-    speed = np.exp(rng.uniform(*np.log(_SPEEDS)))
+    speed = scale * np.exp(rng.uniform(*np.log(_SPEEDS)))
+    waits = rng.random() < _WAITING
+    still = max(0, frames - 1 - int(rng.integers(1, _LATEST + 1))) if waits else 0
     factors = []
     for frame in range(frames):
-        across, down = speed * frame * np.cos(angle), speed * frame * np.sin(angle)
+        far = speed * max(0, frame - still)
+        across, down = far * np.cos(angle), far * np.sin(angle)
         way = np.array([[1, 0, across], [0, 1, down]], np.float32)
         moved = cv2.warpAffine(field, way, (width, height), borderMode=cv2.BORDER_REFLECT)
         inside = np.clip((moved - level) / softness + 0.5, 0, 1)

@@ -264,8 +264,11 @@ class ClipSampler:
         ]
         side = (self._side * self._scale,) * 2
         if recipe.shade_share and rng.random() < recipe.shade_share:
-            shades = switched if rng.random() < _SWITCHED else moving_shade
-            for sample, shade in zip(samples, shades(side, count, rng), strict=True):
+            if rng.random() < _SWITCHED:
+                shades = switched(side, count, rng)
+            else:
+                shades = moving_shade(side, count, rng, scale=self._scale)
+            for sample, shade in zip(samples, shades, strict=True):
                 # on the samples as they lie on the picture: each has the light of its place there
                 for name in ("color", "wanted"):
                     sample[name] = sample[name] * _planes(shade)
