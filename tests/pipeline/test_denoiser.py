@@ -435,8 +435,9 @@ def test_providers_are_names_or_names_with_options():
         assert denoiser.denoise(make_frame(4, 6)).shape == (4, 6, 3)
 
 
-def test_a_closed_denoiser_says_so():
-    denoiser = stillray.Denoiser("fast", threads=2)
+@pytest.mark.parametrize("model", ["fast", "online"])
+def test_a_closed_denoiser_says_so(model):
+    denoiser = stillray.Denoiser(model, threads=2)
     denoiser.close()
     denoiser.close()
     for use in (denoiser.denoise, denoiser.stages, lambda f: denoiser.denoise_layers(f, {})):
