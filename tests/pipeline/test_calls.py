@@ -154,6 +154,65 @@ def test_what_progress_raises_comes_out_and_the_denoiser_goes_on():
         assert denoiser.denoise(frame).shape == (*SHAPE, 3)
 
 
+USES = {
+    "denoise": lambda denoiser, past: denoiser.denoise(make_frame(*SHAPE)),
+    "stages": lambda denoiser, past: denoiser.stages(make_frame(*SHAPE)),
+    "reset": lambda denoiser, past: denoiser.reset(),
+    "state": lambda denoiser, past: setattr(denoiser, "state", None),
+    "load": lambda denoiser, past: denoiser.load(past),
+    "close": lambda denoiser, past: denoiser.close(),
+}
+
+
+@pytest.fixture(scope="module")
+def past(tmp_path_factory):
+    """What `online` remembers of a frame, in a file."""
+    path = tmp_path_factory.mktemp("past") / "past.npz"
+    with stillray.Denoiser("online", threads=1) as denoiser:
+        denoiser.denoise(stream(denoiser, SHAPE)[0])
+        denoiser.save(path)
+    return path
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("use", USES)
+def test_a_denoiser_is_not_used_while_its_frame_is_in_work(use, threads, past):
+    """Whoever resets it then, or puts a state back, would be remembered over."""
+    refused = []
+
+    def attempt(words):
+        with pytest.raises(stillray.InputError, match=words):
+            USES[use](denoiser, past)
+        refused.append(words)
+
+    def progress(share):
+        if share > 0 and not refused:
+            attempt("from within its own frame")
+            other = threading.Thread(target=attempt, args=("by one thread at a time",))
+            other.start()
+            other.join(60)
+
+    model = "online" if use == "load" else "fast"
+    with stillray.Denoiser(model, threads=threads) as plain:
+        first, second = stream(plain, SHAPE)
+        plain.denoise(first)
+        expected = plain.denoise(second)
+    with stillray.Denoiser(model, threads=threads) as denoiser:
+        denoiser.denoise(first)
+        found = denoiser.denoise(second, progress=progress)
+        assert len(refused) == 2
+        np.testing.assert_array_equal(found, expected)
+        assert denoiser.stages(first)  # and the turn is free again
+
+
+@pytest.mark.parametrize("use", ["reset", "state", "load"])
+def test_the_past_of_a_closed_denoiser_stays_as_it_is(use, past):
+    denoiser = stillray.Denoiser("online" if use == "load" else "fast", threads=1)
+    denoiser.close()
+    with pytest.raises(stillray.InputError, match="it was closed"):
+        USES[use](denoiser, past)
+
+
 def test_a_network_that_nobody_wants_any_more_is_not_waited_for(monkeypatch):
     entered, release = threading.Event(), threading.Event()
     frame = make_frame(*SHAPE)

@@ -142,7 +142,13 @@ class Denoiser:
         self.close()
 
     def close(self) -> None:
-        """Stop the worker threads; an engine that was given stays open. May be called again."""
+        """Stop the worker threads; an engine that was given stays open. May be called again.
+
+        Raises
+        ------
+        InputError
+            A frame is in work, on another thread or in whose ``progress`` this is.
+        """
         self._turns.close()
         if self._owns_engine:
             self.engine.close()
@@ -155,13 +161,18 @@ class Denoiser:
 
     @property
     def state(self) -> State | None:
-        """The past: a value that can be kept, and put back later; None before the first frame."""
+        """The past: a value that can be kept, and put back later; None before the first frame.
+
+        While a frame is in work it is what was before that; one that is put back then, or after
+        `close`, is refused with an `InputError`.
+        """
         self._shared = True
         return self._state
 
     @state.setter
     def state(self, value: State | None) -> None:
-        self._state, self._shared = value, True
+        with self._turns.take():  # a frame in work would remember over it
+            self._state, self._shared = value, True
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the past to a file, .npz of plain arrays, from which `load` goes on exactly.
@@ -182,7 +193,7 @@ class Denoiser:
         Raises
         ------
         InputError
-            The file is not one, or is another model's.
+            The file is not one, or is another model's; or a frame is in work.
         """
         keeps = self._keeps()
         self.state = keeps.unpack(read_arrays(path))
@@ -196,8 +207,16 @@ class Denoiser:
         return self._family
 
     def reset(self) -> None:
-        """Forget the past: call it at a cut. What was learned from frames outlives cuts."""
-        self._state = None if self._state is None else self._state.after_cut()
+        """Forget the past: call it at a cut. What was learned from frames outlives cuts.
+
+        Raises
+        ------
+        InputError
+            A frame is in work, on another thread or in whose ``progress`` this is; or the denoiser
+            is closed.
+        """
+        with self._turns.take():  # a frame in work would remember over it
+            self._state = None if self._state is None else self._state.after_cut()
 
     def stages(self, frame: Frame, layers: Collection[str] = ()) -> list[Stage]:
         """What will run for this frame, and why; nothing but a look at its values is run.
