@@ -12,6 +12,7 @@ import pytest
 import stillray
 from stillray.arrays import srgb
 from stillray.arrays.strips import Strips
+from stillray.arrays.tiles import tiles_of
 from stillray.frame import Frame
 from stillray.models import network
 from stillray.pipeline import denoiser as pipeline
@@ -112,6 +113,43 @@ def test_a_cancelled_frame_with_layers_leaves_their_history_too():
                 second, layers[1], progress=lambda share: looks.append(share) or len(looks) < 20
             )
         found = denoiser.denoise_layers(second, layers[1])[1]["half"]
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("what", ["whole", "tiles", "layers", "alpha", "munet-x2", "online"])
+def test_a_frame_that_is_done_can_still_be_unwanted(what, monkeypatch):
+    """Told that all is done, the caller may be the one who fails: the frame then comes again."""
+    model = what if what in UNLISTED else "fast"
+    change = with_alpha if what == "alpha" else lambda frame: frame
+    if what == "tiles":
+        monkeypatch.setattr(
+            pipeline,
+            "plan_tiles",
+            lambda shape, traits, *_: tiles_of(
+                shape, 48, traits.tile_overlap, traits.tile_alignment
+            ),
+        )
+
+    def denoise(denoiser, frame, **more):
+        if what == "layers":
+            return denoiser.denoise_layers(frame, {"half": frame.color / 2}, **more)[1]["half"]
+        return denoiser.denoise(frame, denoise_alpha=what == "alpha", **more)
+
+    def fail(share):
+        if share == 1:
+            raise KeyboardInterrupt
+
+    with stillray.Denoiser(model, threads=1) as denoiser:
+        first, second = map(change, stream(denoiser, [size * denoiser.scale for size in SHAPE]))
+        expected = [denoise(denoiser, frame) for frame in (first, second, first)]
+        denoiser.state = None
+        found = []
+        for frame in (first, second, first):
+            with pytest.raises(KeyboardInterrupt):
+                denoise(denoiser, frame, progress=fail)
+            with pytest.raises(stillray.Cancelled):
+                denoise(denoiser, frame, progress=lambda share: share < 1)
+            found.append(denoise(denoiser, frame))
     np.testing.assert_array_equal(found, expected)
 
 

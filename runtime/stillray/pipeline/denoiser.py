@@ -265,8 +265,9 @@ class Denoiser:
             Whether alpha is filtered as color is, or handed over as it was given.
         progress
             Called in this thread with the share of the frame that is done, every few hundredths
-            of a second. False ends the frame: the history is then as before the call, and part
-            of the picture may be in ``out``.
+            of a second, and with 1 when all is done. False ends the frame, also then: the history
+            is as before the call, and part of the picture, or all, may be in ``out``. What it
+            raises comes out likewise.
 
         Returns
         -------
@@ -359,8 +360,6 @@ class Denoiser:
             watch = self._strips.watch
             with watch.over(progress, partial(share_done, self.last_timings, before)):
                 yield self.engine if progress is None else WatchedEngine(self.engine, watch)
-            if progress is not None:
-                progress(1.0)
 
     def _frame(
         self,
@@ -405,6 +404,7 @@ class Denoiser:
         return self._family.plan(frame, self._state, request, context)
 
     def _remember(self, state: State) -> None:
+        self._strips.watch.last()  # first: a frame that is not wanted leaves no trace
         # two states change places, unless somebody may still look at the older
         self._back_buffer = None if self._shared else self._state
         self._state, self._shared = state, False
