@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import multiprocessing
+import re
 import subprocess
 import sys
 import threading
@@ -358,6 +359,31 @@ def test_an_unknown_model_lists_those_there_are():
     names = "kpyr-5, kpyr-5s, nbg-2x1, nbg-2x3, nbg-7x3, wskp-3, wskp-3s, wskp-6, wskp-mr"
     with pytest.raises(stillray.InputError, match=rf"one of {names}, .*fast.*got best"):
         stillray.Denoiser("best")
+
+
+@pytest.mark.parametrize("model", [None, 5, b"fast", ["fast"]])
+def test_a_model_must_be_named_by_a_text_or_a_path(model):
+    words = f"model must be a name.* got {re.escape(repr(model))}"
+    with pytest.raises(stillray.InputError, match=words):
+        stillray.Denoiser(model)
+
+
+@pytest.mark.parametrize("memory", ["4G", True, float("nan"), [1 << 30]])
+def test_memory_must_be_a_number_of_bytes(memory):
+    words = f"max_memory must be a number of bytes.* got {re.escape(repr(memory))}"
+    with pytest.raises(stillray.InputError, match=words):
+        stillray.Denoiser("fast", max_memory=memory)
+    with pytest.raises(stillray.InputError, match=words):
+        stillray.ShotOptions(max_memory=memory)
+
+
+def test_a_frame_must_be_a_frame():
+    color = np.ones((4, 6, 3), np.float32)
+    words = r"frame must be a stillray.Frame, as Frame\(color=...\), got ndarray"
+    with stillray.Denoiser("fast", threads=1) as denoiser:
+        for use in (denoiser.denoise, denoiser.stages, lambda f: denoiser.denoise_layers(f, {})):
+            with pytest.raises(stillray.InputError, match=words):
+                use(color)
 
 
 def test_a_file_that_is_no_model_is_refused(tmp_path):

@@ -35,6 +35,7 @@ from stillray.models.registry import (
 )
 from stillray.models.session import Provider
 from stillray.pipeline.opening import family_of_model, model_of, network_path
+from stillray.pipeline.tiles import check_memory
 from stillray.pixel_filter import check_spread
 
 #: Frames of a chunk unless told otherwise: twice as many as are run before it for its history.
@@ -124,6 +125,7 @@ class ShotOptions:
             check_samples(self.samples)
         if self.filter_spread is not None:
             check_spread(self.filter_spread)
+        check_memory(self.max_memory)
         if self.workers is not None and self.workers < 1:
             raise InputError(f"workers must be 1 or more, got {self.workers}")
         if self.workers is not None and self.scheduler is not None:

@@ -34,7 +34,7 @@ from stillray.models.session import Provider
 from stillray.pipeline.layers import validated
 from stillray.pipeline.opening import engine_of_model, family_of_model, model_of, network_path
 from stillray.pipeline.output import Target
-from stillray.pipeline.tiles import plan_tiles
+from stillray.pipeline.tiles import check_memory, plan_tiles
 from stillray.pipeline.turns import Turns
 from stillray.stages.plan import Plan, Stage
 from stillray.timing import share_done, timed
@@ -75,7 +75,8 @@ class Denoiser:
     Raises
     ------
     InputError
-        Unknown model, provider, precision or number of threads, or too large an ensemble.
+        Unknown model, provider, precision or number of threads, or too large an ensemble; or
+        ``max_memory`` is no number.
 
     Examples
     --------
@@ -102,6 +103,7 @@ class Denoiser:
         ensemble: int = 1,
     ) -> None:
         threads = _checked_threads(threads)
+        check_memory(max_memory)
         if isinstance(providers, str):
             raise InputError(f"providers must be a sequence of names, got the string '{providers}'")
         chosen = tuple(providers) if providers else None
@@ -233,6 +235,7 @@ class Denoiser:
         InputError
             As `denoise` and `denoise_layers`.
         """
+        _require_frame(frame)
         with self._turns.take():
             return list(self._plan(frame, layers, Context(strips=self._strips)).stages)
 
@@ -284,6 +287,7 @@ class Denoiser:
         Cancelled
             ``progress`` returned False.
         """
+        _require_frame(frame)
         channels, scale = 3 if frame.alpha is None else 4, self.scale
         height, width = (extent * scale for extent in frame.shape)
         if frame.alpha is not None and scale != 1:
@@ -339,10 +343,11 @@ class Denoiser:
         Raises
         ------
         InputError
-            A layer has a wrong shape or type.
+            As `denoise`; or a layer has a wrong shape or type.
         Cancelled
             ``progress`` returned False.
         """
+        _require_frame(frame)
         given = {
             name: Layer(radiance=layer, irradiance=name in irradiance)
             for name, layer in validated(layers, frame).items()
@@ -426,6 +431,12 @@ def _grey(alpha: np.ndarray | None, strips: Strips) -> Layer:
 
     strips.run(work, *layer.shape[:2])
     return Layer(radiance=layer, irradiance=True, shaded=False)
+
+
+def _require_frame(frame: object) -> None:
+    if not isinstance(frame, Frame):
+        kind = type(frame).__name__
+        raise InputError(f"frame must be a stillray.Frame, as Frame(color=...), got {kind}")
 
 
 def _checked_threads(threads: int | None) -> int:
