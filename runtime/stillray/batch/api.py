@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -188,10 +189,10 @@ class ShotResult:
 
 
 def denoise_shot(
-    sources: str | Sequence[str],
+    sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     output: str | Path,
     *,
-    model: str = DEFAULT_MODEL,
+    model: str | Path = DEFAULT_MODEL,
     options: ShotOptions | None = None,
     progress: Progress | Callable[[FrameReport], None] | None = None,
     cancel: Callable[[], bool] = lambda: False,
@@ -205,7 +206,7 @@ def denoise_shot(
     ----------
     sources
         An EXR file; a sequence as ``"shot.####.exr"``, ``"shot.%04d.exr"`` or a glob; or the files
-        of one sequence.
+        of one sequence. Texts or paths.
     output
         An EXR file, a pattern, or a folder, which gets files of the inputs' names.
     model
@@ -228,8 +229,9 @@ def denoise_shot(
     >>> import stillray
     >>> stillray.denoise_shot("shot.####.exr", "clean.####.exr")  # doctest: +SKIP
     """
-    named = [sources] if isinstance(sources, str) else list(sources)
-    planned = plan_run(named, str(output), model, options or ShotOptions())
+    given = [sources] if isinstance(sources, str | os.PathLike) else sources
+    named = [os.fspath(source) for source in given]
+    planned = plan_run(named, str(output), str(model), options or ShotOptions())
     return planned.run(_as_progress(progress), cancel)
 
 
