@@ -338,6 +338,42 @@ def test_alpha_is_kept_or_filtered():
             denoiser.denoise(frame, denoise_alpha=True)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("filtered", [False, True])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_broken_alpha_comes_from_its_neighbours_as_broken_color_does(value, filtered):
+    alpha = np.full(SHAPE, 0.5, np.float32)
+    alpha[20:30, 10:20], alpha[60, 90] = value, value
+    whole = np.full(SHAPE, 0.5)
+    with stillray.Denoiser("wskp-mr", threads=1) as denoiser:
+        first, second = swing(*SHAPE)
+        found, expected = [], []
+        for pictures, given in ((found, alpha), (expected, whole)):
+            denoiser.reset()
+            for frame in (first, second):
+                frame = replace(frame, alpha=given)
+                pictures.append(denoiser.denoise(frame, denoise_alpha=filtered))
+        np.testing.assert_allclose(found, expected, rtol=1e-5)
+        denoiser.reset()
+        nothing = replace(first, alpha=np.full(SHAPE, value))
+        assert (denoiser.denoise(nothing, denoise_alpha=filtered)[..., 3] == 0).all()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [1e9, 3e38, -3e38])
+def test_alpha_beyond_its_range_floods_no_picture(value):
+    frame, alpha = make_frame(*SHAPE), np.full(SHAPE, 0.5, np.float32)
+    alpha[30, 40] = value
+    frame = replace(frame, alpha=alpha)
+    with stillray.Denoiser("wskp-mr", threads=1, temporal=False) as denoiser:
+        np.testing.assert_array_equal(denoiser.denoise(frame)[..., 3], alpha)
+        half = denoiser.denoise(frame, dtype="float16")[..., 3]
+        np.testing.assert_array_equal(half, np.clip(alpha, -65504, 65504))
+        filtered = denoiser.denoise(frame, denoise_alpha=True)[..., 3]
+        assert np.abs(filtered - 0.5).max() <= 0.5
+        assert abs(filtered.mean() - 0.5) < 1e-3
+
+
 @pytest.mark.parametrize("dtype", ["float16", np.float64])
 def test_pictures_have_the_type_that_is_asked_for(dtype):
     frame = make_frame(12, 10)

@@ -37,6 +37,7 @@ from stillray.pipeline.output import Target
 from stillray.pipeline.tiles import check_memory, plan_tiles
 from stillray.pipeline.turns import Turns
 from stillray.stages.plan import Plan, Stage
+from stillray.stages.repair import repair_alpha
 from stillray.timing import share_done, timed
 
 
@@ -265,7 +266,9 @@ class Denoiser:
             radiance; ``"ldr"``, linear in [0, 1]; ``"srgb"``, sRGB values in [0, 1];
             ``"signed"``, in [-1, 1]. What lies beyond a range is clipped.
         denoise_alpha
-            Whether alpha is filtered as color is, or handed over as it was given.
+            Whether alpha is filtered as color is, or handed over as it was given. What is not
+            finite is filled in from around, either way. It has a past of its own: where the frame
+            before was denoised without, both begin a new history; ask for it from the first frame.
         progress
             Called in this thread with the share of the frame that is done, every few hundredths
             of a second, and with 1 when all is done. False ends the frame, also then: the history
@@ -277,7 +280,7 @@ class Denoiser:
         (height * scale, width * scale, 3) float32, or ``out``
             Scene-linear radiance: finite, >= 0; a mean of the accumulated irradiance of each
             window, since kernels cannot invent light, times a mean of the albedo around. With
-            alpha ``(height, width, 4)``.
+            alpha ``(height, width, 4)``: finite, and where it was filtered in [0, 1].
 
         Raises
         ------
@@ -299,10 +302,14 @@ class Denoiser:
         with self._turn(progress) as engine:
             if values is not Encoding.HDR:
                 frame = replace(frame, color=decoded(frame.color, values, self._strips))
-            layers = {"alpha": _grey(frame.alpha, self._strips)} if denoise_alpha else {}
+            alpha = None if frame.alpha is None else repair_alpha(frame.alpha, self._strips)
+            layers = {}
+            if denoise_alpha and alpha is not None:
+                layers["alpha"] = _grey(alpha, self._strips)
             image, filtered, state = self._frame(frame, layers, engine)
             image = encoded(image, values, self._strips)
-            alpha = np.clip(filtered["alpha"][..., 0], 0, 1) if denoise_alpha else frame.alpha
+            if denoise_alpha:
+                alpha = np.clip(filtered["alpha"][..., 0], 0, 1)
             image = target.put(image, alpha, self._strips)
             self._remember(state)
         return image
@@ -421,13 +428,12 @@ class Denoiser:
 _HOW = {"color_b": ": render the same frame again with another seed (--color-b)"}
 
 
-def _grey(alpha: np.ndarray | None, strips: Strips) -> Layer:
-    """Alpha as a layer."""
-    assert alpha is not None
-    given, layer = alpha, np.empty((*alpha.shape, 3), np.float32)
+def _grey(alpha: np.ndarray, strips: Strips) -> Layer:
+    """Alpha as a layer, in its range: else one wrong pixel would cover all that a kernel sees."""
+    layer = np.empty((*alpha.shape, 3), np.float32)
 
     def work(rows: slice) -> None:
-        layer[rows] = np.nan_to_num(given[rows])[..., None]
+        layer[rows] = np.clip(alpha[rows], 0, 1)[..., None]
 
     strips.run(work, *layer.shape[:2])
     return Layer(radiance=layer, irradiance=True, shaded=False)
