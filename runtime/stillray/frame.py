@@ -65,8 +65,9 @@ class Frame:
         how far a glint or a bright edge reaches. Where it is not given, models for stills look
         whether neighbouring pixels share their noise (`stillray.stages.shared_noise`).
     alpha : (h, w), optional
-        What the picture covers, in [0, 1], handed over with the clean picture. Color is filtered
-        as it is, so that it should be multiplied by it, as renderers give it.
+        What the picture covers, in [0, 1], handed over with the clean picture; may hold NaN and
+        infinities. Color is filtered as it is, so that it should be multiplied by it, as renderers
+        give it.
 
     Raises
     ------

@@ -89,6 +89,18 @@ def test_one_file_alone_is_denoised_as_one_image_is(shot):
     assert stillray.denoise_shot("shot.##.exr", "g.##.exr", options=options).model == "kpyr-5"
 
 
+def test_files_and_models_may_be_named_by_paths(shot):
+    model, files = stillray.list_models()[0].path, sorted(shot.glob("shot.*.exr"))
+    for sources in (files[0], shot / "shot.##.exr", files):
+        count = 1 if sources is files[0] else FRAMES
+        output = shot / ("h.exr" if count == 1 else "h.##.exr")
+        result = stillray.denoise_shot(sources, output, model=model, options=FAST)
+        assert len(result.frames) == count
+    texts = [str(path) for path in files]
+    stillray.denoise_shot(texts, "i.##.exr", model=str(model), options=FAST)
+    np.testing.assert_array_equal(pictures("h.{:02d}.exr"), pictures("i.{:02d}.exr"))
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -12,6 +12,7 @@ import pytest
 import stillray
 from stillray.arrays import srgb
 from stillray.arrays.strips import Strips
+from stillray.arrays.tiles import tiles_of
 from stillray.frame import Frame
 from stillray.models import network
 from stillray.pipeline import denoiser as pipeline
@@ -115,6 +116,43 @@ def test_a_cancelled_frame_with_layers_leaves_their_history_too():
     np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.parametrize("what", ["whole", "tiles", "layers", "alpha", "munet-x2", "online"])
+def test_a_frame_that_is_done_can_still_be_unwanted(what, monkeypatch):
+    """Told that all is done, the caller may be the one who fails: the frame then comes again."""
+    model = what if what in UNLISTED else "fast"
+    change = with_alpha if what == "alpha" else lambda frame: frame
+    if what == "tiles":
+        monkeypatch.setattr(
+            pipeline,
+            "plan_tiles",
+            lambda shape, traits, *_: tiles_of(
+                shape, 48, traits.tile_overlap, traits.tile_alignment
+            ),
+        )
+
+    def denoise(denoiser, frame, **more):
+        if what == "layers":
+            return denoiser.denoise_layers(frame, {"half": frame.color / 2}, **more)[1]["half"]
+        return denoiser.denoise(frame, denoise_alpha=what == "alpha", **more)
+
+    def fail(share):
+        if share == 1:
+            raise KeyboardInterrupt
+
+    with stillray.Denoiser(model, threads=1) as denoiser:
+        first, second = map(change, stream(denoiser, [size * denoiser.scale for size in SHAPE]))
+        expected = [denoise(denoiser, frame) for frame in (first, second, first)]
+        denoiser.state = None
+        found = []
+        for frame in (first, second, first):
+            with pytest.raises(KeyboardInterrupt):
+                denoise(denoiser, frame, progress=fail)
+            with pytest.raises(stillray.Cancelled):
+                denoise(denoiser, frame, progress=lambda share: share < 1)
+            found.append(denoise(denoiser, frame))
+    np.testing.assert_array_equal(found, expected)
+
+
 @pytest.mark.parametrize("threads", [1, 2])
 def test_progress_goes_from_nothing_to_all_in_the_caller_s_thread(threads, in_strips):
     threads_of_looks = set()
@@ -152,6 +190,65 @@ def test_what_progress_raises_comes_out_and_the_denoiser_goes_on():
             denoiser.denoise(frame, progress=lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
         assert denoiser.state is None
         assert denoiser.denoise(frame).shape == (*SHAPE, 3)
+
+
+USES = {
+    "denoise": lambda denoiser, past: denoiser.denoise(make_frame(*SHAPE)),
+    "stages": lambda denoiser, past: denoiser.stages(make_frame(*SHAPE)),
+    "reset": lambda denoiser, past: denoiser.reset(),
+    "state": lambda denoiser, past: setattr(denoiser, "state", None),
+    "load": lambda denoiser, past: denoiser.load(past),
+    "close": lambda denoiser, past: denoiser.close(),
+}
+
+
+@pytest.fixture(scope="module")
+def past(tmp_path_factory):
+    """What `online` remembers of a frame, in a file."""
+    path = tmp_path_factory.mktemp("past") / "past.npz"
+    with stillray.Denoiser("online", threads=1) as denoiser:
+        denoiser.denoise(stream(denoiser, SHAPE)[0])
+        denoiser.save(path)
+    return path
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("use", USES)
+def test_a_denoiser_is_not_used_while_its_frame_is_in_work(use, threads, past):
+    """Whoever resets it then, or puts a state back, would be remembered over."""
+    refused = []
+
+    def attempt(words):
+        with pytest.raises(stillray.InputError, match=words):
+            USES[use](denoiser, past)
+        refused.append(words)
+
+    def progress(share):
+        if share > 0 and not refused:
+            attempt("from within its own frame")
+            other = threading.Thread(target=attempt, args=("by one thread at a time",))
+            other.start()
+            other.join(60)
+
+    model = "online" if use == "load" else "fast"
+    with stillray.Denoiser(model, threads=threads) as plain:
+        first, second = stream(plain, SHAPE)
+        plain.denoise(first)
+        expected = plain.denoise(second)
+    with stillray.Denoiser(model, threads=threads) as denoiser:
+        denoiser.denoise(first)
+        found = denoiser.denoise(second, progress=progress)
+        assert len(refused) == 2
+        np.testing.assert_array_equal(found, expected)
+        assert denoiser.stages(first)  # and the turn is free again
+
+
+@pytest.mark.parametrize("use", ["reset", "state", "load"])
+def test_the_past_of_a_closed_denoiser_stays_as_it_is(use, past):
+    denoiser = stillray.Denoiser("online" if use == "load" else "fast", threads=1)
+    denoiser.close()
+    with pytest.raises(stillray.InputError, match="it was closed"):
+        USES[use](denoiser, past)
 
 
 def test_a_network_that_nobody_wants_any_more_is_not_waited_for(monkeypatch):
@@ -239,6 +336,42 @@ def test_alpha_is_kept_or_filtered():
             denoiser.denoise(rgba, out=out[..., :3])
         with pytest.raises(stillray.InputError, match="denoise_alpha must be False for a frame"):
             denoiser.denoise(frame, denoise_alpha=True)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("filtered", [False, True])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_broken_alpha_comes_from_its_neighbours_as_broken_color_does(value, filtered):
+    alpha = np.full(SHAPE, 0.5, np.float32)
+    alpha[20:30, 10:20], alpha[60, 90] = value, value
+    whole = np.full(SHAPE, 0.5)
+    with stillray.Denoiser("wskp-mr", threads=1) as denoiser:
+        first, second = swing(*SHAPE)
+        found, expected = [], []
+        for pictures, given in ((found, alpha), (expected, whole)):
+            denoiser.reset()
+            for frame in (first, second):
+                frame = replace(frame, alpha=given)
+                pictures.append(denoiser.denoise(frame, denoise_alpha=filtered))
+        np.testing.assert_allclose(found, expected, rtol=1e-5)
+        denoiser.reset()
+        nothing = replace(first, alpha=np.full(SHAPE, value))
+        assert (denoiser.denoise(nothing, denoise_alpha=filtered)[..., 3] == 0).all()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [1e9, 3e38, -3e38])
+def test_alpha_beyond_its_range_floods_no_picture(value):
+    frame, alpha = make_frame(*SHAPE), np.full(SHAPE, 0.5, np.float32)
+    alpha[30, 40] = value
+    frame = replace(frame, alpha=alpha)
+    with stillray.Denoiser("wskp-mr", threads=1, temporal=False) as denoiser:
+        np.testing.assert_array_equal(denoiser.denoise(frame)[..., 3], alpha)
+        half = denoiser.denoise(frame, dtype="float16")[..., 3]
+        np.testing.assert_array_equal(half, np.clip(alpha, -65504, 65504))
+        filtered = denoiser.denoise(frame, denoise_alpha=True)[..., 3]
+        assert np.abs(filtered - 0.5).max() <= 0.5
+        assert abs(filtered.mean() - 0.5) < 1e-3
 
 
 @pytest.mark.parametrize("dtype", ["float16", np.float64])

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import multiprocessing
+import re
 import subprocess
 import sys
 import threading
@@ -360,6 +361,31 @@ def test_an_unknown_model_lists_those_there_are():
         stillray.Denoiser("best")
 
 
+@pytest.mark.parametrize("model", [None, 5, b"fast", ["fast"]])
+def test_a_model_must_be_named_by_a_text_or_a_path(model):
+    words = f"model must be a name.* got {re.escape(repr(model))}"
+    with pytest.raises(stillray.InputError, match=words):
+        stillray.Denoiser(model)
+
+
+@pytest.mark.parametrize("memory", ["4G", True, float("nan"), [1 << 30]])
+def test_memory_must_be_a_number_of_bytes(memory):
+    words = f"max_memory must be a number of bytes.* got {re.escape(repr(memory))}"
+    with pytest.raises(stillray.InputError, match=words):
+        stillray.Denoiser("fast", max_memory=memory)
+    with pytest.raises(stillray.InputError, match=words):
+        stillray.ShotOptions(max_memory=memory)
+
+
+def test_a_frame_must_be_a_frame():
+    color = np.ones((4, 6, 3), np.float32)
+    words = r"frame must be a stillray.Frame, as Frame\(color=...\), got ndarray"
+    with stillray.Denoiser("fast", threads=1) as denoiser:
+        for use in (denoiser.denoise, denoiser.stages, lambda f: denoiser.denoise_layers(f, {})):
+            with pytest.raises(stillray.InputError, match=words):
+                use(color)
+
+
 def test_a_file_that_is_no_model_is_refused(tmp_path):
     path = tmp_path / "x.onnx"
     path.write_bytes(b"not a model")
@@ -435,8 +461,9 @@ def test_providers_are_names_or_names_with_options():
         assert denoiser.denoise(make_frame(4, 6)).shape == (4, 6, 3)
 
 
-def test_a_closed_denoiser_says_so():
-    denoiser = stillray.Denoiser("fast", threads=2)
+@pytest.mark.parametrize("model", ["fast", "online"])
+def test_a_closed_denoiser_says_so(model):
+    denoiser = stillray.Denoiser(model, threads=2)
     denoiser.close()
     denoiser.close()
     for use in (denoiser.denoise, denoiser.stages, lambda f: denoiser.denoise_layers(f, {})):

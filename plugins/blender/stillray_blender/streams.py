@@ -72,9 +72,9 @@ class Streams:
 
     def close(self) -> None:
         """Free everything."""
-        for stream in reversed(self._streams.values()):  # the first owns the network
+        while self._streams:  # from the last: the first owns the network
+            _, stream = self._streams.popitem()
             stream.denoiser.close()
-        self._streams.clear()
 
     def _stream(self, shown: Shown) -> _Stream:
         key = shown.scene, shown.layer, shown.view

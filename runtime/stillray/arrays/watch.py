@@ -63,6 +63,21 @@ class Watch:
             if self._ended:
                 raise Cancelled("the frame was ended on another thread")
             return
-        answer = self._ask(self._share())
+        self._tell(self._share())
+
+    def last(self) -> None:
+        """Tell the caller that all is done: the last moment at which he can want no more of it.
+
+        Raises
+        ------
+        Cancelled
+            He does not.
+        """
+        if self._ask is not None:
+            self._tell(1.0)
+
+    def _tell(self, share: float) -> None:
+        assert self._ask is not None
+        answer = self._ask(share)
         if answer is not None and not answer:  # False of Python, NumPy or C
             raise Cancelled("the frame was cancelled: progress returned False")

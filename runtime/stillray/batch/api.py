@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -35,6 +36,7 @@ from stillray.models.registry import (
 )
 from stillray.models.session import Provider
 from stillray.pipeline.opening import family_of_model, model_of, network_path
+from stillray.pipeline.tiles import check_memory
 from stillray.pixel_filter import check_spread
 
 #: Frames of a chunk unless told otherwise: twice as many as are run before it for its history.
@@ -124,6 +126,7 @@ class ShotOptions:
             check_samples(self.samples)
         if self.filter_spread is not None:
             check_spread(self.filter_spread)
+        check_memory(self.max_memory)
         if self.workers is not None and self.workers < 1:
             raise InputError(f"workers must be 1 or more, got {self.workers}")
         if self.workers is not None and self.scheduler is not None:
@@ -186,10 +189,10 @@ class ShotResult:
 
 
 def denoise_shot(
-    sources: str | Sequence[str],
+    sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     output: str | Path,
     *,
-    model: str = DEFAULT_MODEL,
+    model: str | Path = DEFAULT_MODEL,
     options: ShotOptions | None = None,
     progress: Progress | Callable[[FrameReport], None] | None = None,
     cancel: Callable[[], bool] = lambda: False,
@@ -203,7 +206,7 @@ def denoise_shot(
     ----------
     sources
         An EXR file; a sequence as ``"shot.####.exr"``, ``"shot.%04d.exr"`` or a glob; or the files
-        of one sequence.
+        of one sequence. Texts or paths.
     output
         An EXR file, a pattern, or a folder, which gets files of the inputs' names.
     model
@@ -226,8 +229,9 @@ def denoise_shot(
     >>> import stillray
     >>> stillray.denoise_shot("shot.####.exr", "clean.####.exr")  # doctest: +SKIP
     """
-    named = [sources] if isinstance(sources, str) else list(sources)
-    planned = plan_run(named, str(output), model, options or ShotOptions())
+    given = [sources] if isinstance(sources, str | os.PathLike) else sources
+    named = [os.fspath(source) for source in given]
+    planned = plan_run(named, str(output), str(model), options or ShotOptions())
     return planned.run(_as_progress(progress), cancel)
 
 

@@ -159,9 +159,10 @@ class Network:
         return self._opened[graph]
 
     def close(self) -> None:
-        """Stop the thread, and free what it used."""
+        """Stop the thread, and free what it used. May be called again."""
         if self._renewed is not None:
-            self._thread.submit(self._renewed.close).result()
+            self._thread.submit(self._renewed.close).result()  # after all runs that were begun
+            self._renewed = None
         self._thread.shutdown()
 
 

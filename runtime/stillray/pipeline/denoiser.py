@@ -34,9 +34,10 @@ from stillray.models.session import Provider
 from stillray.pipeline.layers import validated
 from stillray.pipeline.opening import engine_of_model, family_of_model, model_of, network_path
 from stillray.pipeline.output import Target
-from stillray.pipeline.tiles import plan_tiles
+from stillray.pipeline.tiles import check_memory, plan_tiles
 from stillray.pipeline.turns import Turns
 from stillray.stages.plan import Plan, Stage
+from stillray.stages.repair import repair_alpha
 from stillray.timing import share_done, timed
 
 
@@ -75,7 +76,8 @@ class Denoiser:
     Raises
     ------
     InputError
-        Unknown model, provider, precision or number of threads, or too large an ensemble.
+        Unknown model, provider, precision or number of threads, or too large an ensemble; or
+        ``max_memory`` is no number.
 
     Examples
     --------
@@ -102,6 +104,7 @@ class Denoiser:
         ensemble: int = 1,
     ) -> None:
         threads = _checked_threads(threads)
+        check_memory(max_memory)
         if isinstance(providers, str):
             raise InputError(f"providers must be a sequence of names, got the string '{providers}'")
         chosen = tuple(providers) if providers else None
@@ -142,7 +145,13 @@ class Denoiser:
         self.close()
 
     def close(self) -> None:
-        """Stop the worker threads; an engine that was given stays open. May be called again."""
+        """Stop the worker threads; an engine that was given stays open. May be called again.
+
+        Raises
+        ------
+        InputError
+            A frame is in work, on another thread or in whose ``progress`` this is.
+        """
         self._turns.close()
         if self._owns_engine:
             self.engine.close()
@@ -155,13 +164,18 @@ class Denoiser:
 
     @property
     def state(self) -> State | None:
-        """The past: a value that can be kept, and put back later; None before the first frame."""
+        """The past: a value that can be kept, and put back later; None before the first frame.
+
+        While a frame is in work it is what was before that; one that is put back then, or after
+        `close`, is refused with an `InputError`.
+        """
         self._shared = True
         return self._state
 
     @state.setter
     def state(self, value: State | None) -> None:
-        self._state, self._shared = value, True
+        with self._turns.take():  # a frame in work would remember over it
+            self._state, self._shared = value, True
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the past to a file, .npz of plain arrays, from which `load` goes on exactly.
@@ -182,7 +196,7 @@ class Denoiser:
         Raises
         ------
         InputError
-            The file is not one, or is another model's.
+            The file is not one, or is another model's; or a frame is in work.
         """
         keeps = self._keeps()
         self.state = keeps.unpack(read_arrays(path))
@@ -196,8 +210,16 @@ class Denoiser:
         return self._family
 
     def reset(self) -> None:
-        """Forget the past: call it at a cut. What was learned from frames outlives cuts."""
-        self._state = None if self._state is None else self._state.after_cut()
+        """Forget the past: call it at a cut. What was learned from frames outlives cuts.
+
+        Raises
+        ------
+        InputError
+            A frame is in work, on another thread or in whose ``progress`` this is; or the denoiser
+            is closed.
+        """
+        with self._turns.take():  # a frame in work would remember over it
+            self._state = None if self._state is None else self._state.after_cut()
 
     def stages(self, frame: Frame, layers: Collection[str] = ()) -> list[Stage]:
         """What will run for this frame, and why; nothing but a look at its values is run.
@@ -214,6 +236,7 @@ class Denoiser:
         InputError
             As `denoise` and `denoise_layers`.
         """
+        _require_frame(frame)
         with self._turns.take():
             return list(self._plan(frame, layers, Context(strips=self._strips)).stages)
 
@@ -243,18 +266,21 @@ class Denoiser:
             radiance; ``"ldr"``, linear in [0, 1]; ``"srgb"``, sRGB values in [0, 1];
             ``"signed"``, in [-1, 1]. What lies beyond a range is clipped.
         denoise_alpha
-            Whether alpha is filtered as color is, or handed over as it was given.
+            Whether alpha is filtered as color is, or handed over as it was given. What is not
+            finite is filled in from around, either way. It has a past of its own: where the frame
+            before was denoised without, both begin a new history; ask for it from the first frame.
         progress
             Called in this thread with the share of the frame that is done, every few hundredths
-            of a second. False ends the frame: the history is then as before the call, and part
-            of the picture may be in ``out``.
+            of a second, and with 1 when all is done. False ends the frame, also then: the history
+            is as before the call, and part of the picture, or all, may be in ``out``. What it
+            raises comes out likewise.
 
         Returns
         -------
         (height * scale, width * scale, 3) float32, or ``out``
             Scene-linear radiance: finite, >= 0; a mean of the accumulated irradiance of each
             window, since kernels cannot invent light, times a mean of the albedo around. With
-            alpha ``(height, width, 4)``.
+            alpha ``(height, width, 4)``: finite, and where it was filtered in [0, 1].
 
         Raises
         ------
@@ -264,6 +290,7 @@ class Denoiser:
         Cancelled
             ``progress`` returned False.
         """
+        _require_frame(frame)
         channels, scale = 3 if frame.alpha is None else 4, self.scale
         height, width = (extent * scale for extent in frame.shape)
         if frame.alpha is not None and scale != 1:
@@ -275,10 +302,14 @@ class Denoiser:
         with self._turn(progress) as engine:
             if values is not Encoding.HDR:
                 frame = replace(frame, color=decoded(frame.color, values, self._strips))
-            layers = {"alpha": _grey(frame.alpha, self._strips)} if denoise_alpha else {}
+            alpha = None if frame.alpha is None else repair_alpha(frame.alpha, self._strips)
+            layers = {}
+            if denoise_alpha and alpha is not None:
+                layers["alpha"] = _grey(alpha, self._strips)
             image, filtered, state = self._frame(frame, layers, engine)
             image = encoded(image, values, self._strips)
-            alpha = np.clip(filtered["alpha"][..., 0], 0, 1) if denoise_alpha else frame.alpha
+            if denoise_alpha:
+                alpha = np.clip(filtered["alpha"][..., 0], 0, 1)
             image = target.put(image, alpha, self._strips)
             self._remember(state)
         return image
@@ -319,10 +350,11 @@ class Denoiser:
         Raises
         ------
         InputError
-            A layer has a wrong shape or type.
+            As `denoise`; or a layer has a wrong shape or type.
         Cancelled
             ``progress`` returned False.
         """
+        _require_frame(frame)
         given = {
             name: Layer(radiance=layer, irradiance=name in irradiance)
             for name, layer in validated(layers, frame).items()
@@ -340,8 +372,6 @@ class Denoiser:
             watch = self._strips.watch
             with watch.over(progress, partial(share_done, self.last_timings, before)):
                 yield self.engine if progress is None else WatchedEngine(self.engine, watch)
-            if progress is not None:
-                progress(1.0)
 
     def _frame(
         self,
@@ -386,6 +416,7 @@ class Denoiser:
         return self._family.plan(frame, self._state, request, context)
 
     def _remember(self, state: State) -> None:
+        self._strips.watch.last()  # first: a frame that is not wanted leaves no trace
         # two states change places, unless somebody may still look at the older
         self._back_buffer = None if self._shared else self._state
         self._state, self._shared = state, False
@@ -397,16 +428,21 @@ class Denoiser:
 _HOW = {"color_b": ": render the same frame again with another seed (--color-b)"}
 
 
-def _grey(alpha: np.ndarray | None, strips: Strips) -> Layer:
-    """Alpha as a layer."""
-    assert alpha is not None
-    given, layer = alpha, np.empty((*alpha.shape, 3), np.float32)
+def _grey(alpha: np.ndarray, strips: Strips) -> Layer:
+    """Alpha as a layer, in its range: else one wrong pixel would cover all that a kernel sees."""
+    layer = np.empty((*alpha.shape, 3), np.float32)
 
     def work(rows: slice) -> None:
-        layer[rows] = np.nan_to_num(given[rows])[..., None]
+        layer[rows] = np.clip(alpha[rows], 0, 1)[..., None]
 
     strips.run(work, *layer.shape[:2])
     return Layer(radiance=layer, irradiance=True, shaded=False)
+
+
+def _require_frame(frame: object) -> None:
+    if not isinstance(frame, Frame):
+        kind = type(frame).__name__
+        raise InputError(f"frame must be a stillray.Frame, as Frame(color=...), got {kind}")
 
 
 def _checked_threads(threads: int | None) -> int:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from stillray.errors import InputError
 from stillray.families.contract import Engine, Family
 from stillray.families.frame_graph import FrameGraphModel
 from stillray.families.registry import FAMILIES
@@ -32,10 +33,15 @@ def model_of(model: str | os.PathLike[str] | ModelInfo) -> ModelInfo:
     Raises
     ------
     InputError
-        There is none: the message says which there are, or how to make a frame graph.
+        There is none: the message says which there are, or how to make a frame graph. Or it is
+        named by no text or path.
     """
     if isinstance(model, ModelInfo):
         return model
+    if not isinstance(model, str | os.PathLike):
+        raise InputError(
+            f"model must be a name, the path of an .onnx file or a ModelInfo, got {model!r}"
+        )
     return find_frame_model(model) if is_frame_graph(model) else find_model(model)
 
 

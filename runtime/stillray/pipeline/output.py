@@ -60,14 +60,16 @@ class Target:
         if target is None:
             target = np.empty((*image.shape[:2], 3 if alpha is None else 4), self.dtype)
         out, halves = target, self.dtype == np.float16
+        most = np.float32(np.finfo(np.float16).max)
 
         def work(rows: slice) -> None:
             part = image[rows]
             if halves:
-                part = np.minimum(part, np.float32(np.finfo(np.float16).max))
+                part = np.minimum(part, most)
             np.copyto(out[rows, :, :3], part, casting="same_kind")
             if alpha is not None:
-                np.copyto(out[rows, :, 3], alpha[rows], casting="same_kind")
+                covers = np.clip(alpha[rows], -most, most) if halves else alpha[rows]
+                np.copyto(out[rows, :, 3], covers, casting="same_kind")
 
         strips.run(work, *image.shape[:2])
         return out

@@ -8,7 +8,9 @@ coarsest level of a pyramid does, so that its pixels are those of the whole fram
 
 from __future__ import annotations
 
+import math
 import re
+from numbers import Real
 
 from stillray.arrays.tiles import Tile, tiles_of
 from stillray.errors import InputError
@@ -41,6 +43,15 @@ def parse_memory(text: str) -> int:
     if hit is None:
         raise InputError(f"max-memory must be an amount such as 2G or 800M, got {text}")
     return int(float(hit[1]) * _UNITS[hit[2].upper()])
+
+
+def check_memory(max_memory: float | None) -> None:
+    """Raise `InputError` where what should be bytes, or None, is no number."""
+    number = isinstance(max_memory, Real) and not isinstance(max_memory, bool)
+    if max_memory is not None and (not number or math.isnan(max_memory)):
+        raise InputError(
+            f"max_memory must be a number of bytes, such as 4 << 30, or None, got {max_memory!r}"
+        )
 
 
 def plan_tiles(

@@ -157,6 +157,34 @@ def repair_feature(
     return result
 
 
+def repair_alpha(alpha: np.ndarray, strips: Strips) -> np.ndarray:
+    """Alpha that is not finite comes from finite neighbours, as color does: they go together.
+
+    Parameters
+    ----------
+    alpha : (h, w) float32
+        Not changed.
+    strips
+        Where the work runs.
+
+    Returns
+    -------
+    (h, w) float32
+        Finite, if not in [0, 1]; the input itself where nothing was wrong.
+    """
+    most = float(np.finfo(np.float32).max)
+    if all_within(alpha, -most, most, strips):
+        return alpha
+    valid, grey = np.empty(alpha.shape, bool), np.empty((*alpha.shape, 3), np.float32)
+
+    def work(rows: slice) -> None:
+        valid[rows] = np.isfinite(alpha[rows])
+        grey[rows] = np.where(valid[rows], np.clip(alpha[rows], 0, 1), np.float32(0))[..., None]
+
+    strips.run(work, *alpha.shape)
+    return np.where(valid, alpha, fill(grey, valid, strips)[..., 0])
+
+
 def repair_motion(motion: np.ndarray, strips: Strips | None = None) -> np.ndarray:
     """Motion that is not finite, or beyond MAX_MOTION, becomes MAX_MOTION.
 
