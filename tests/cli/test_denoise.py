@@ -116,6 +116,23 @@ def test_dry_run_of_a_finished_shot_says_so(shot, capsys):
     assert "0 frames would be written" in text
 
 
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["-m", "online"], "online needs the buffer color_b"),
+        (["-m", "online-warm"], "online-warm needs the buffer color_b"),
+    ],
+)
+def test_a_dry_run_refuses_what_the_run_refuses(shot, capsys, options, why):
+    command = ["denoise", "shot.#.exr", "-o", "clean.#.exr", *options]
+    assert main([*command, "--dry-run"]) == 2
+    said = capsys.readouterr().err
+    assert why in said
+    assert main(command) == 2
+    assert capsys.readouterr().err == said
+    assert outputs(shot) == []
+
+
 @pytest.mark.parametrize("dash", ["-", "--"])
 def test_flags_of_oidn_denoise_mean_the_same(shot, dash):
     write_frame(shot / "color.exr", 9, names=("R", "G", "B"))

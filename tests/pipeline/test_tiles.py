@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-import stillray.pipeline.denoiser
+import stillray.pipeline.plan
 from stillray.errors import InputError
 from stillray.families.registry import family_of
 from stillray.model_spec import load
@@ -77,7 +77,7 @@ def in_tiles(monkeypatch):
             around = traits.tile_overlap if halo is None else halo
             return tiles_of(shape, size, around, traits.tile_alignment)
 
-        monkeypatch.setattr(stillray.pipeline.denoiser, "plan_tiles", plan)
+        monkeypatch.setattr(stillray.pipeline.plan, "plan_tiles", plan)
 
     return set_tiles
 

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 def collect(shot: PlannedShot) -> dict[str, Any]:
     """What a run would do; reads the first two frames that it would run, at most."""
-    from stillray.pipeline.plan import plan_frames
+    from stillray.pipeline.plan import Asked, plan_frames
 
-    steps, layout, temporal = shot.steps, shot.layout, shot.options.temporal
+    steps, layout = shot.steps, shot.layout
     planned = {id(step.job): step for step in steps}
     facts: dict[str, Any] = {
         "model": shot.model.name,
@@ -30,15 +30,16 @@ def collect(shot: PlannedShot) -> dict[str, Any]:
     }
     if not steps:
         return facts
+    asked = Asked(model=shot.model.name, temporal=shot.options.temporal)
     facts["layers"] = _layers(steps[0].job, layout)
     first = layout.read(steps[0].job.source, steps[0].job.companions, None)[0].frame
-    facts["stages_first"] = _stages(plan_frames([first], shot.family, temporal=temporal)[-1].stages)
+    facts["stages_first"] = _stages(plan_frames([first], shot.family, asked)[-1].stages)
     following = next((step for step in steps if not step.starts_anew), None)
     if following is not None:
         before = steps[steps.index(following) - 1].job.source
         frame = layout.read(following.job.source, following.job.companions, before)[0].frame
         # what a frame leaves to the next depends on its buffers, not on their values
-        plans = plan_frames([first, frame], shot.family, temporal=temporal)
+        plans = plan_frames([first, frame], shot.family, asked)
         facts["stages_following"] = _stages(plans[-1].stages)
     return facts
 
