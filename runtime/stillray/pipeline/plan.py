@@ -64,7 +64,8 @@ def plan_frame(
     if missing := sorted(traits.required - frame.given):
         how = _HOW.get(missing[0], "")
         raise InputError(f"{asked.model} needs the buffer {missing[0]}, which is not given{how}")
-    tiles = plan_tiles(frame.shape, traits, asked.max_memory, asked.model)
+    channels = frame.channels + 3 * len(layers)
+    tiles = plan_tiles(frame.shape, channels, traits, asked.max_memory, asked.model)
     if layers and not traits.linear:
         raise InputError(f"layers must be none with {asked.model}, got {', '.join(layers)}")
     if layers and len(tiles) > 1:
