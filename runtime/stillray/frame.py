@@ -135,6 +135,15 @@ class Frame:
         """Names of the buffers that this frame holds."""
         return frozenset(f.name for f in fields(self) if getattr(self, f.name) is not None)
 
+    @property
+    def channels(self) -> int:
+        """Numbers a pixel of all buffers that this frame holds."""
+        return sum(
+            channels
+            for name, channels in _CHANNELS.items()
+            if np.ndim(getattr(self, name)) > 1  # not None, nor one count for all pixels
+        )
+
 
 def check_samples(samples: float | np.ndarray) -> None:
     """Raise `InputError` where a number or a map of samples a pixel cannot be that."""

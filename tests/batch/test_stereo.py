@@ -11,7 +11,7 @@ import pytest
 import stillray
 from stillray.cli import main
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_exr, read_picture
+from stillray.io.exr.read_write import CleanView, read_exr, read_picture, write_views
 from tests.conftest import make_frame
 
 HEIGHT, WIDTH, FRAMES = 33, 42, 4
@@ -27,14 +27,16 @@ def planes_of(frame):
     return planes
 
 
-def write_eyes(path, frames):
-    """A part an eye, as `rgba_left`."""
+def write_eyes(path, frames, *, attribute=False):
+    """A part an eye, as `rgba_left`; or the eye in an attribute of its part."""
     specs = []
     for eye, frame in frames.items():
         planes = planes_of(frame)
         spec = oiio.ImageSpec(WIDTH, HEIGHT, len(planes), "float")
         spec.channelnames = tuple(planes)
         spec.attribute("name", f"rgba_{eye}")
+        if attribute:
+            spec.attribute("view", eye)
         specs.append((spec, np.stack(list(planes.values()), -1).astype(np.float32)))
     sink = oiio.ImageOutput.create("exr")
     assert sink.open(str(path), [spec for spec, _ in specs])
@@ -88,6 +90,30 @@ def test_a_chosen_eye_is_the_only_one_to_change(stereo, frames):
     np.testing.assert_array_equal(eye("left.{}.exr", 4, "right"), frames[4]["right"].color)
     assert main(["denoise", "s.#.exr", "-o", "both.#.exr", *FAST]) == 0
     np.testing.assert_array_equal(eye("left.{}.exr", 4, "left"), eye("both.{}.exr", 4, "left"))
+
+
+@pytest.mark.parametrize("attribute", [False, True])
+def test_both_eyes_are_enlarged(stereo, frames, attribute, capsys):
+    for number in (1, 2):
+        write_eyes(stereo / f"t.{number}.exr", frames[number], attribute=attribute)
+    command = ["denoise", "t.#.exr", "-o", "both.#.exr", "-m", "munet-x2", "--threads", "1"]
+    assert main([*command, "--quiet"]) == 0
+    for view in EYES:
+        with stillray.Denoiser("munet-x2", threads=1) as denoiser:
+            for number in (1, 2):
+                alone = denoiser.denoise(read_exr(f"t.{number}.exr", layers={"view": view}))
+                assert alone.shape == (2 * HEIGHT, 2 * WIDTH, 3)
+                found = eye("both.{}.exr", number, view)
+                np.testing.assert_array_equal(found, alone.astype(np.float16))
+    assert main([*command, "--resume"]) == 0
+    assert "2 frames done already" in capsys.readouterr().out
+    for wide in (WIDTH, 2 * WIDTH + 1):  # of another size than the other eye's, or no multiple
+        views = [
+            CleanView(layers={"view": view}, image=np.ones((2 * HEIGHT, columns, 3)))
+            for view, columns in zip(EYES, (2 * WIDTH, wide), strict=True)
+        ]
+        with pytest.raises(InputError, match="must have the size of its color"):
+            write_views("other.exr", views, like="t.1.exr")
 
 
 def test_both_eyes_are_resumed(stereo, capsys):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -114,6 +115,59 @@ def test_dry_run_of_a_finished_shot_says_so(shot, capsys):
     text = capsys.readouterr().out
     assert text.count("done already") == 3
     assert "0 frames would be written" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["-m", "online"], "online needs the buffer color_b"),
+        (["-m", "online-warm"], "online-warm needs the buffer color_b"),
+        ([*FAST, "--max-memory", "20M"], "max-memory must be "),
+        (["-m", "munet-x2", "--max-memory", "4G"], "max-memory must not be given with munet-x2"),
+        ([*FAST, "--provider", "NoneExecutionProvider"], "providers must be among"),
+        ([*FAST, "--threads", "0"], "threads must be an integer, 1 or more, got 0"),
+        ([*FAST, "--workers", "2", "--chunk", "0"], "chunk must be 1 frame or more, got 0"),
+    ],
+)
+def test_a_dry_run_refuses_what_the_run_refuses(shot, capsys, options, why):
+    command = ["denoise", "shot.#.exr", "-o", "clean.#.exr", *options]
+    assert main([*command, "--dry-run"]) == 2
+    said = capsys.readouterr().err
+    assert why in said
+    assert main(command) == 2
+    assert capsys.readouterr().err == said
+    assert outputs(shot) == []
+
+
+def test_a_dry_run_counts_the_layers_and_looks_at_them_as_the_run_does(shot, capsys):
+    light = [f"diffuse.{c}" for c in "RGB"]
+    write_frame(shot / "lit.exr", 4, names=("R", "G", "B", "albedo.R", *light))
+    command = ["denoise", "lit.exr", "-o", "clean.exr", *FAST, "--dry-run", "--json"]
+    for options, runs in (((), False), (("--aovs", "all"), True)):
+        assert main([*command, *options]) == 0
+        stages = {s["name"]: s for s in json.loads(capsys.readouterr().out)["stages_first"]}
+        assert stages["layers"]["runs"] == runs
+    # in so little memory that there are tiles, no layers can be filtered
+    large = dict.fromkeys([*"RGB", *light], np.ones((400, 600), np.float32))
+    write_channels(shot / "large.exr", large)
+    command = ["denoise", "large.exr", "-o", "clean.exr", "-m", "wskp-3s", "--max-memory"]
+    assert main([*command, "20M"]) == 2
+    least = re.search(r"must be (\d+)M or more", capsys.readouterr().err)[1]
+    command.append(f"{int(least) + 50}M")
+    assert main([*command, "--dry-run"]) == 0
+    capsys.readouterr()
+    for end in (["--dry-run"], []):
+        assert main([*command, "--aovs", "all", *end]) == 2
+        assert "where other layers are filtered too" in capsys.readouterr().err
+
+
+def test_a_dry_run_of_one_file_looks_forward_to_no_next_frame(shot, capsys):
+    assert main(["denoise", "shot.1.exr", "-o", "clean.exr", "--dry-run", "--json"]) == 0
+    dry = json.loads(capsys.readouterr().out)
+    assert main(["info", "shot.1.exr", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (dry["model"], dry["stages_first"]) == (told["model"], told["stages"])
+    assert not {s["name"]: s for s in told["stages"]}["keep_output"]["runs"]
 
 
 @pytest.mark.parametrize("dash", ["-", "--"])

@@ -10,7 +10,7 @@ import pytest
 import stillray
 from stillray.frame import Frame
 from stillray.pipeline.opening import family_of_model
-from stillray.pipeline.plan import plan_frames
+from stillray.pipeline.plan import Asked, plan_frames
 from tests.conftest import make_frame
 
 SIZE = (40, 56)
@@ -109,7 +109,7 @@ def test_asking_changes_nothing(model):
 def test_a_plan_of_a_sequence_is_what_its_frames_run(model):
     frames = [frame(), mirrored(1), frame(2, motion=None), frame(3)]
     with stillray.Denoiser(model) as denoiser:
-        plans = plan_frames(frames, family_of_model(denoiser.model), temporal=True)
+        plans = plan_frames(frames, family_of_model(denoiser.model), Asked(model=model))
         for given, plan in zip(frames, plans, strict=True):
             denoiser.denoise(given)
             assert {stage.name for stage in plan.stages if stage.runs} == set(denoiser.last_timings)

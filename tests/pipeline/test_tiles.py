@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-import stillray.pipeline.denoiser
+import stillray.pipeline.plan
 from stillray.errors import InputError
 from stillray.families.registry import family_of
+from stillray.frame import Frame
 from stillray.model_spec import load
 from stillray.pipeline.denoiser import Denoiser
 from stillray.pipeline.tiles import parse_memory, plan_tiles, tiles_of
@@ -31,7 +32,7 @@ def test_tiles_give_every_pixel_once_and_see_around_it(shape, size, halo, multip
 def test_frame_that_fits_is_one_tile():
     traits = family_of(load("kpyr-5")).traits
     for limit in (None, 64 << 30):
-        (tile,) = plan_tiles((720, 1280), traits, limit, "kpyr-5")
+        (tile,) = plan_tiles((720, 1280), 12, traits, limit, "kpyr-5")
         assert tile.inner == tile.outer == (slice(0, 720), slice(0, 1280))
 
 
@@ -43,13 +44,33 @@ def area(tile):
 def test_less_memory_makes_smaller_tiles_until_it_is_refused():
     traits = family_of(load("kpyr-5")).traits
     areas = []
-    for gigabytes in (12, 8, 6, 5):
-        tiles = plan_tiles((2160, 3840), traits, gigabytes << 30, "kpyr-5")
+    for gigabytes in (12, 8, 7, 6):
+        tiles = plan_tiles((2160, 3840), 12, traits, gigabytes << 30, "kpyr-5")
         areas.append(max(area(tile) for tile in tiles))
     assert areas == sorted(areas, reverse=True)
     assert areas[-1] < areas[0]
     with pytest.raises(InputError, match=r"max-memory must be \d+M or more for 3840 x 2160 pixels"):
-        plan_tiles((2160, 3840), traits, 1 << 30, "kpyr-5")
+        plan_tiles((2160, 3840), 12, traits, 1 << 30, "kpyr-5")
+
+
+@pytest.mark.parametrize(
+    ("shape", "channels", "megabytes"), [((101, 203), 12, 300), ((360, 640), 12, 500)]
+)
+def test_little_memory_is_enough_for_small_frames(shape, channels, megabytes):
+    """Whole runs of kpyr-5 took 150 and 359 MiB."""
+    traits = family_of(load("kpyr-5")).traits
+    assert plan_tiles(shape, channels, traits, megabytes << 20, "kpyr-5")
+
+
+def test_fewer_buffers_take_less_memory():
+    traits = family_of(load("kpyr-5")).traits
+    with pytest.raises(InputError, match="max-memory must be"):
+        plan_tiles((1080, 1920), 12, traits, 1300 << 20, "kpyr-5")
+    assert plan_tiles((1080, 1920), 3, traits, 1300 << 20, "kpyr-5")
+    frame = make_frame(9, 7, shift=1.0)
+    assert Frame(color=frame.color, samples=4).channels == 3
+    assert Frame(color=frame.color, samples=frame.depth + 1).channels == 4
+    assert frame.channels == 12
 
 
 @pytest.mark.parametrize(
@@ -71,13 +92,13 @@ def in_tiles(monkeypatch):
     """Makes denoisers use tiles of a size, with an overlap."""
 
     def set_tiles(size, halo=None):
-        def plan(shape, traits, max_memory, name):
+        def plan(shape, channels, traits, max_memory, name):
             if max_memory is None:
-                return plan_tiles(shape, traits, None, name)
+                return plan_tiles(shape, channels, traits, None, name)
             around = traits.tile_overlap if halo is None else halo
             return tiles_of(shape, size, around, traits.tile_alignment)
 
-        monkeypatch.setattr(stillray.pipeline.denoiser, "plan_tiles", plan)
+        monkeypatch.setattr(stillray.pipeline.plan, "plan_tiles", plan)
 
     return set_tiles
 

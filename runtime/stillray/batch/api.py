@@ -276,6 +276,18 @@ class PlannedShot:
         size = CHUNK_FRAMES if self.options.chunk is None else self.options.chunk
         return split(self.jobs, size, memory=self.work.memory)
 
+    def check(self) -> None:
+        """Open what a run opens before its first frame; what other machines have is not known.
+
+        Raises
+        ------
+        InputError
+            As `run` would, of threads, providers, chunks or the state.
+        """
+        self._chunks()
+        if self.steps and self.options.scheduler is None:
+            self.work.opened(self.model).close()
+
     def run(self, progress: Progress, cancel: Callable[[], bool] = lambda: False) -> ShotResult:
         """Denoise the frames; see `denoise_shot`."""
         chunks = self._chunks()

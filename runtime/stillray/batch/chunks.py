@@ -99,22 +99,40 @@ class ShotSettings:
             # in little memory no more frames than needed are held at a time
             ahead=AHEAD if self.max_memory is None else 1,
         )
-        # each view has a past of its own
-        most = None if self.max_memory is None else self.max_memory // len(self.layout.of_views)
-        with Denoiser(
+        with self.opened(model) as denoiser:
+            run_steps(denoiser, chain([first], todo), how, report)
+            if self.state is not None:
+                denoiser.save(self.state)
+
+    def opened(self, model: ModelInfo) -> Denoiser:
+        """The denoiser of the frames, with what it learned before; the caller closes it.
+
+        Raises
+        ------
+        InputError
+            There is no such provider or number of threads here, or the state is not the model's.
+        """
+        denoiser = Denoiser(
             model,
             threads=self.threads,
             providers=self.providers,
             precision=self.precision,
             ensemble=self.ensemble,
             temporal=self.temporal,
-            max_memory=most,
-        ) as denoiser:
+            max_memory=self.memory_of_view,
+        )
+        try:
             if self.state is not None and self.state.exists():
                 denoiser.load(self.state)
-            run_steps(denoiser, chain([first], todo), how, report)
-            if self.state is not None:
-                denoiser.save(self.state)
+        except BaseException:
+            denoiser.close()
+            raise
+        return denoiser
+
+    @property
+    def memory_of_view(self) -> int | None:
+        """Bytes for each view, which has a past of its own; None for whole frames."""
+        return None if self.max_memory is None else self.max_memory // len(self.layout.of_views)
 
     def find_model(self) -> ModelInfo:
         """The model on this machine.

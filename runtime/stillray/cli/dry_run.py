@@ -10,16 +10,20 @@ from stillray.cli.reports import frames
 
 if TYPE_CHECKING:
     from stillray.batch.api import PlannedShot
-    from stillray.batch.file_layout import Layout
+    from stillray.batch.file_layout import Layout, ViewFrame
     from stillray.batch.shot import RunStep, ShotFrame
-    from stillray.stages.plan import Stage
 
 
 def collect(shot: PlannedShot) -> dict[str, Any]:
-    """What a run would do; reads the first two frames that it would run, at most."""
-    from stillray.pipeline.plan import plan_frames
+    """What a run would do; reads the first two frames that it would run, at most.
 
-    steps, layout, temporal = shot.steps, shot.layout, shot.options.temporal
+    Raises
+    ------
+    InputError
+        The run would be refused.
+    """
+    steps, layout = shot.steps, shot.layout
+    shot.check()
     planned = {id(step.job): step for step in steps}
     facts: dict[str, Any] = {
         "model": shot.model.name,
@@ -31,15 +35,14 @@ def collect(shot: PlannedShot) -> dict[str, Any]:
     if not steps:
         return facts
     facts["layers"] = _layers(steps[0].job, layout)
-    first = layout.read(steps[0].job.source, steps[0].job.companions, None)[0].frame
-    facts["stages_first"] = _stages(plan_frames([first], shot.family, temporal=temporal)[-1].stages)
+    first = layout.read(steps[0].job.source, steps[0].job.companions, None)
+    facts["stages_first"] = _stages(shot, [first])
     following = next((step for step in steps if not step.starts_anew), None)
     if following is not None:
         before = steps[steps.index(following) - 1].job.source
-        frame = layout.read(following.job.source, following.job.companions, before)[0].frame
+        views = layout.read(following.job.source, following.job.companions, before)
         # what a frame leaves to the next depends on its buffers, not on their values
-        plans = plan_frames([first, frame], shot.family, temporal=temporal)
-        facts["stages_following"] = _stages(plans[-1].stages)
+        facts["stages_following"] = _stages(shot, [first, views])
     return facts
 
 
@@ -114,5 +117,17 @@ def _layers(job: ShotFrame, layout: Layout) -> dict[str, Any]:
     return found
 
 
-def _stages(stages: Sequence[Stage]) -> list[dict[str, Any]]:
-    return [{"name": s.name, "runs": s.runs, "reason": s.reason} for s in stages]
+def _stages(shot: PlannedShot, frames: Sequence[Sequence[ViewFrame]]) -> list[dict[str, Any]]:
+    """Of the last of consecutive frames, in its first view; every view is checked."""
+    from stillray.pipeline.plan import Asked, plan_frames
+
+    told = []
+    for views in zip(*frames, strict=True):
+        asked = Asked(
+            model=shot.model.name,
+            temporal=shot.options.temporal and not shot.model.spec.training.alone,
+            layers=list(views[-1].lights),
+            max_memory=shot.work.memory_of_view,
+        )
+        told.append(plan_frames([view.frame for view in views], shot.family, asked)[-1].stages)
+    return [{"name": s.name, "runs": s.runs, "reason": s.reason} for s in told[0]]

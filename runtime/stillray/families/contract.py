@@ -41,6 +41,8 @@ class Traits:
         Whether other layers of a frame can be filtered by the weights of its color.
     integers
         Whether what the network gives may come as integers, see `stillray.models.steps.InSteps`.
+    views
+        Pictures of a frame that are averaged; a second one takes memory beside the first.
     """
 
     required: frozenset[str]
@@ -51,6 +53,7 @@ class Traits:
     tile_overlap: int | None = None
     linear: bool = True
     integers: bool = False
+    views: int = 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

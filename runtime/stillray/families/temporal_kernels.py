@@ -92,6 +92,7 @@ class TemporalKernels(ABC):
             tile_overlap=looks.overlap,
             memory=MEMORY_FRAMES,
             integers=self.takes_integers,
+            views=self.ensemble,
         )
 
     #: What the reconstruction does, in a few words.

@@ -13,7 +13,7 @@ from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.oidn.constants import OIDN_FILTER_TYPE_RT, OIDN_FILTER_TYPE_RT_LIGHTMAP
 from stillray.pipeline.denoiser import Denoiser
-from stillray.pipeline.tiles import BASE_BYTES, FRAME_BYTES
+from stillray.pipeline.tiles import floor_bytes
 
 FILTER_TYPES = (OIDN_FILTER_TYPE_RT, OIDN_FILTER_TYPE_RT_LIGHTMAP)
 
@@ -88,9 +88,8 @@ def filtered(
     frame = Frame(color=_three(subject), **guides)
     denoiser.max_memory = None
     if parameters.max_memory_mb >= 0:
-        height, width = frame.shape
         scratch = parameters.max_memory_mb << 20
-        denoiser.max_memory = BASE_BYTES + FRAME_BYTES * height * width + scratch
+        denoiser.max_memory = floor_bytes(frame.shape, frame.channels) + scratch
     result = denoiser.denoise(frame, encoding=encoding.value)
     return result if subject.shape[2] == 3 else result[..., :1]
 

@@ -18,7 +18,7 @@ from stillray.arrays.strips import Strips, available_threads
 from stillray.arrays.watch import Progress
 from stillray.arrays.workspace import Workspace
 from stillray.errors import InputError
-from stillray.families.contract import Context, Engine, Family, Keeps, Layer, Request, State
+from stillray.families.contract import Context, Engine, Family, Keeps, Layer, State
 from stillray.families.registry import FAMILIES
 from stillray.families.saved_state import read_arrays, write_arrays
 from stillray.frame import Frame
@@ -34,7 +34,8 @@ from stillray.models.session import Provider
 from stillray.pipeline.layers import validated
 from stillray.pipeline.opening import engine_of_model, family_of_model, model_of, network_path
 from stillray.pipeline.output import Target
-from stillray.pipeline.tiles import check_memory, plan_tiles
+from stillray.pipeline.plan import Asked, plan_frame
+from stillray.pipeline.tiles import check_memory
 from stillray.pipeline.turns import Turns
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.repair import repair_alpha
@@ -396,24 +397,13 @@ class Denoiser:
         return step.image, images, step.finish()
 
     def _plan(self, frame: Frame, layers: Collection[str], context: Context) -> Plan:
-        traits = self._family.traits
-        if missing := sorted(traits.required - frame.given):
-            how = _HOW.get(missing[0], "")
-            raise InputError(
-                f"{self.model.name} needs the buffer {missing[0]}, which is not given{how}"
-            )
-        tiles = plan_tiles(frame.shape, traits, self.max_memory, self.model.name)
-        if layers and not traits.linear:
-            raise InputError(f"layers must be none with {self.model.name}, got {', '.join(layers)}")
-        if layers and len(tiles) > 1:
-            raise InputError(
-                f"max-memory must hold the whole frame where other layers are filtered too, got "
-                f"{self.max_memory} bytes for {frame.shape[1]} x {frame.shape[0]} pixels"
-            )
-        request = Request(
-            temporal=self.temporal, layers=frozenset(layers), tiles=tuple(tiles[1:] and tiles)
+        asked = Asked(
+            model=self.model.name,
+            temporal=self.temporal,
+            layers=layers,
+            max_memory=self.max_memory,
         )
-        return self._family.plan(frame, self._state, request, context)
+        return plan_frame(frame, self._state, self._family, asked, context)
 
     def _remember(self, state: State) -> None:
         self._strips.watch.last()  # first: a frame that is not wanted leaves no trace
@@ -422,10 +412,6 @@ class Denoiser:
         self._state, self._shared = state, False
         if not self.temporal:
             self._state, self._back_buffer = None, state
-
-
-#: How a buffer that is missing comes about, where that is not plain.
-_HOW = {"color_b": ": render the same frame again with another seed (--color-b)"}
 
 
 def _grey(alpha: np.ndarray, strips: Strips) -> Layer:

@@ -16,17 +16,20 @@ from stillray.arrays.tiles import Tile, tiles_of
 from stillray.errors import InputError
 from stillray.families.contract import Traits
 
-#: Bytes of a process that has loaded a model and denoised nothing; measured, rounded up.
-BASE_BYTES = 300 << 20
-#: Bytes a pixel of the whole frame: the floor under any bound. It holds the buffers of the frame
-#: in work, of the next and of the last, history, what is prepared, and the picture on its way out.
-#: The peak of whole runs over 12 channels of 1280 x 720, less the model and its tile, was 210 with
-#: wskp-3s and 270 with kpyr-5, which also remembers its output; 50 more for the accumulated albedo;
-#: rounded up. The reprojected past and its comparison with the frame add 40, counted, not measured.
-FRAME_BYTES = 420
-#: Bytes a pixel of a tile: features, network and reconstruction; 840 measured for kpyr-5, 410 for
-#: wskp-3s, rounded up.
-TILE_BYTES = 900
+#: Bytes of a process that has loaded a model and denoised nothing: 115 to 130 MiB, and spare.
+BASE_BYTES = 150 << 20
+#: Bytes a pixel of the whole frame whatever it holds, and for each channel that is given: the
+#: floor under any bound. They hold the buffers of the frame in work, of the next and of the last,
+#: history, what is prepared, and the picture on its way out. Runs of three frames of 1280 x 720
+#: with wskp-3 in small tiles took 125 bytes a pixel with color alone and 425 with 12 channels, the
+#: past among them; kpyr-5, which also remembers its output, 530. A tenth is spare.
+PIXEL_BYTES, CHANNEL_BYTES = 60, 44
+#: Bytes a pixel of a tile: features, network and reconstruction. 860 of kpyr-5 in floats, which
+#: take 245 more than integers, and a tenth to spare.
+TILE_BYTES = 950
+#: More where several views of the frame are averaged, each of which is done after the other:
+#: 340 measured.
+VIEWS_BYTES = 380
 _LEAST_INNER = 64  # pixels, and no less than the overlap: smaller tiles would be little else
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 
@@ -54,15 +57,29 @@ def check_memory(max_memory: float | None) -> None:
         )
 
 
-def plan_tiles(
-    shape: tuple[int, int], traits: Traits, max_memory: int | None, name: str
-) -> list[Tile]:
-    """The largest tiles with which a process stays below a memory.
+def floor_bytes(shape: tuple[int, int], channels: int) -> int:
+    """Bytes that a process takes however small its tiles are.
 
     Parameters
     ----------
     shape
         Height and width, pixels.
+    channels
+        Numbers a pixel that are given: 3 for color alone, 6 with albedo.
+    """
+    height, width = shape
+    return BASE_BYTES + (PIXEL_BYTES + CHANNEL_BYTES * channels) * height * width
+
+
+def plan_tiles(
+    shape: tuple[int, int], channels: int, traits: Traits, max_memory: int | None, name: str
+) -> list[Tile]:
+    """The largest tiles with which a process stays below a memory.
+
+    Parameters
+    ----------
+    shape, channels
+        As `floor_bytes` takes them.
     traits
         Of the model's family.
     max_memory
@@ -82,15 +99,16 @@ def plan_tiles(
         return tiles_of(shape, max(shape), 0, multiple)
     if halo is None:
         raise InputError(f"max-memory must not be given with {name}, which takes whole frames")
-    fixed = BASE_BYTES + FRAME_BYTES * height * width
+    fixed = floor_bytes(shape, channels)
+    of_tile = TILE_BYTES + (VIEWS_BYTES if traits.views > 1 else 0)
     least = min(max(_LEAST_INNER, halo) + 2 * halo, max(shape))
-    needed = fixed + TILE_BYTES * min(least, height) * min(least, width)
+    needed = fixed + of_tile * min(least, height) * min(least, width)
     if max_memory < needed:
         raise InputError(
             f"max-memory must be {needed / _UNITS['M']:.0f}M or more for {width} x {height} "
             f"pixels with {name}, got {max_memory / _UNITS['M']:.0f}M"
         )
-    pixels = (max_memory - fixed) // TILE_BYTES
+    pixels = (max_memory - fixed) // of_tile
     if pixels >= height * width:
         return tiles_of(shape, max(shape), halo, multiple)
     return tiles_of(shape, max(int(pixels**0.5), least), halo, multiple)

@@ -62,6 +62,8 @@ _MOST_LISTED = 40  # channels in a message
 _STORAGE_PREFIXES = ("oiio:", "openexr:")
 _VERSION = {"stillray:version": __version__}
 _STORAGE_NAMES = frozenset({"chunkCount", "name", "compression"})
+_VIEWS = "multiView"
+_VIEW_NAMES = frozenset({"view", _VIEWS})
 
 
 def read_exr(
@@ -414,7 +416,8 @@ def write_views(
     views
         What replaces the color of each.
     like
-        The source, whose structure is kept as by `write_exr`.
+        The source, whose structure is kept as by `write_exr`. Where the pictures are a whole number
+        of times as wide and high, the file has one part with the R, G, B of all views alone.
     attributes
         As for `write_exr`.
 
@@ -426,7 +429,8 @@ def write_views(
     Raises
     ------
     InputError
-        A picture has not the size of its view, or a file cannot be read or written.
+        A picture has neither the size of its view nor a multiple of it, or a file cannot be read
+        or written.
     """
     path = Path(path)
     tags = {"stillray:version": __version__, **(attributes or {})}
@@ -435,6 +439,8 @@ def write_views(
     for view in views:
         source = ExrFile.of_layers(like, view.layers)
         planes = _replaced(source, view)
+        if not planes and _are_enlarged(views, like):
+            return _write_enlarged(path, views, like, tags)
         if not planes:
             raise InputError(
                 f"{path}: each view's picture must have the size of its color in {like}, got "
@@ -443,6 +449,32 @@ def write_views(
         replaced |= planes
     with atomic_path(path) as temporary:
         return rewrite(source.path, source.container, temporary, replaced, tags)
+
+
+def _are_enlarged(views: Sequence[CleanView], like: str | os.PathLike[str]) -> bool:
+    """Whether every picture is the same number of times as wide and high as its color."""
+    times = set()
+    for view in views:
+        source = ExrFile.of_layers(like, view.layers, headers_only=True)
+        color = _color_and_more(source, view.layers)[0]
+        times.add(_times(source.window(color.writes[0]), *view.image.shape[:2]))
+    return len({view.image.shape for view in views}) == len(times) == 1 and 0 not in times
+
+
+def _write_enlarged(
+    path: Path,
+    views: Sequence[CleanView],
+    like: str | os.PathLike[str],
+    tags: Mapping[str, str],
+) -> int:
+    """The colors of all views in one part; how many values were clamped."""
+    names = [(view.layers or {})[VIEW] for view in views]
+    channels: dict[str, np.ndarray] = {}
+    for name, view in zip(names, views, strict=True):
+        prefix = "" if name == names[0] else f"{name}."  # the first view's carry none
+        image = _checked(view.image)
+        channels |= {f"{prefix}{c}": image[..., i] for i, c in enumerate("RGB")}
+    return write_channels(path, channels, like=like, attributes={**tags, _VIEWS: names})
 
 
 def _replaced(source: ExrFile, view: CleanView) -> dict[tuple[int, str], np.ndarray]:
@@ -499,7 +531,7 @@ def write_channels(
         A source file whose metadata are kept, and its data window and display window: where the
         planes are some times its size, enlarged by that.
     attributes
-        Further metadata: name to str, int or float.
+        Further metadata: name to str, int, float or list of str.
     compression
         An OpenEXR compression name, ``"zip"`` (lossless) unless told otherwise.
 
@@ -530,13 +562,18 @@ def write_channels(
             spec.full_height = times * source.full_height
         for attribute in source.extra_attribs:
             stored = attribute.name in _STORAGE_NAMES
+            # a source's views may have been parts, which say so otherwise
+            stored = stored or (_VIEWS in (attributes or {}) and attribute.name in _VIEW_NAMES)
             if not stored and not attribute.name.startswith(_STORAGE_PREFIXES):
                 spec.attribute(attribute.name, attribute.type, attribute.value)
     spec.channelnames = tuple(channels)
     spec.channelformats = tuple(oiio.TypeDesc(kind) for kind in kinds)
     spec.attribute("compression", compression)
     for name, value in (attributes or {}).items():
-        spec.attribute(name, value)
+        if isinstance(value, list):
+            spec.attribute(name, oiio.TypeDesc(f"string[{len(value)}]"), tuple(value))
+        else:
+            spec.attribute(name, value)
     half = np.finfo(np.float16)
     halves = [plane for plane, kind in zip(channels.values(), kinds, strict=True) if kind == "half"]
     clamped = sum(int(np.count_nonzero(np.abs(plane) > half.max)) for plane in halves)
@@ -557,7 +594,7 @@ def write_channels(
 
 
 def _times(source: Any, height: int, width: int) -> int:
-    """How many times a size is that of an OpenImageIO spec; 0 if no whole number."""
+    """How many times a size is that of a window or a spec; 0 if no whole number."""
     times, rest = divmod(height, source.height)
     return times if rest == 0 and width == times * source.width else 0
 
