@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -355,12 +355,10 @@ def plan_run(
     )
     _check_outputs(jobs, layout, resume=options.resume)
     chosen, family = _opened(model, options, alone=not temporal or len(jobs) == 1)
+    layout = replace(layout, sees_jitter=family.traits.sees_jitter)
     memory, cuts = _memory(family, options, len(jobs)), options.cuts and temporal
     precision = _precision(chosen, options)
-    network = network_path(chosen, precision, options.providers)
-    unusual = _unusual(precision, options.ensemble)
-    changing = {"temporal": temporal, "cuts": cuts, **layout.options(), **unusual}
-    recipe = Recipe(model=chosen.name, model_digest=file_digest(network), options=changing)
+    recipe = _recipe(chosen, precision, layout, options)
     done = [False] * len(jobs)
     if options.resume and (look or not options.in_chunks):
         done = finished(jobs, recipe, memory=memory, layers=layout.of_views)
@@ -422,6 +420,18 @@ def _opened(name: str, options: ShotOptions, *, alone: bool) -> tuple[ModelInfo,
             f"aovs must not be given with {model.name}, which denoises the beauty alone"
         )
     return model, family
+
+
+def _recipe(model: ModelInfo, precision: str, layout: Layout, options: ShotOptions) -> Recipe:
+    """What goes into the files' provenance, and tells whether they are finished."""
+    network = network_path(model, precision, options.providers)
+    changing = {
+        "temporal": options.temporal,
+        "cuts": options.cuts and options.temporal,
+        **layout.options(),
+        **_unusual(precision, options.ensemble),
+    }
+    return Recipe(model=model.name, model_digest=file_digest(network), options=changing)
 
 
 def _unusual(precision: str, ensemble: int) -> dict[str, str | int]:

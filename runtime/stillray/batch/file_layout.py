@@ -12,6 +12,8 @@ import numpy as np
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.channels.motion_detection import Detection, detect_in_sequence
+from stillray.io.channels.roles import JITTER
+from stillray.io.exr.jitter import JITTER_ATTRIBUTE
 from stillray.io.exr.read_write import (
     CleanView,
     expected_changes,
@@ -72,6 +74,9 @@ class Layout:
     views
         Names of the views, all of which are denoised; empty for one picture, or where ``layers``
         choose a view.
+    sees_jitter
+        Whether the model looks at the frames' jitter, see `stillray.families.contract.Traits`.
+        What a model does not look at stands in the files as it stood, whatever it is.
     """
 
     layers: Mapping[str, str] = field(default_factory=dict)
@@ -80,6 +85,7 @@ class Layout:
     detection: Detection | None = None
     told: Told = Told()
     views: tuple[str, ...] = ()
+    sees_jitter: bool = True
 
     @classmethod
     def of(
@@ -159,7 +165,7 @@ class Layout:
             frame = read_frame(
                 path,
                 companions,
-                layers=layers,
+                layers=layers if self.sees_jitter else {**layers, JITTER: "none"},
                 convention=convention,
                 before=before,
                 samples=self.told.samples,
@@ -215,24 +221,27 @@ class Layout:
         attributes
             What is told of it in an EXR file.
         """
+        told: dict[str, str | None] = dict(attributes or {})
+        if self.sees_jitter:
+            told[JITTER_ATTRIBUTE] = None  # of the source's samples, not of this picture's
         if self.views:
             clean = [
                 CleanView(layers=layers, image=image, lights=lights)
                 for layers, (image, lights) in zip(self.of_views, pictures, strict=True)
             ]
-            return write_views(path, clean, like=like, attributes=attributes)
+            return write_views(path, clean, like=like, attributes=told)
         (picture,) = pictures
         if is_float_map(path):
             write_image(path, picture.image)
             return 0
         source = None if is_float_map(like) else like
         if self.only_color:
-            return write_color(path, picture.image, like=source, attributes=attributes)
+            return write_color(path, picture.image, like=source, attributes=told)
         return write_exr(
             path,
             picture.image,
             like=source,
             layers=self.layers,
             lights=picture.lights,
-            attributes=attributes,
+            attributes=told,
         )

@@ -215,6 +215,9 @@ def denoise(
 ) -> None:
     """Denoise an EXR or PFM file or a numbered sequence.
 
+    Models that enlarge, as munet-x2, look where samples lie in their pixels, which the EXR
+    attribute stillray:jitter says: docs/command-line.md has its convention.
+
     Flags of oidnDenoise that mean the same are taken: --hdr, --alb, --nrm, -o, -q, with one dash
     or two.
     """

@@ -20,6 +20,7 @@ from stillray.io.channels.motion_convention import MotionConvention
 from stillray.io.channels.renderers import ROLES, Rule, renderer_table
 
 __all__ = [
+    "JITTER",
     "ROLES",
     "LayerMatch",
     "color_of_light",
@@ -30,6 +31,8 @@ __all__ = [
     "parse_overrides",
 ]
 
+#: Said by an attribute of files, not by a layer; named beside layers, it can only be left out.
+JITTER = "jitter"
 _UNPROVEN = "sign and units of this motion are not verified: not used unless two frames prove them"
 _SHORTEST_LOOSE_NAME = 3  # letters: shorter names, N and Z, must match exactly
 _COUNTS = {
@@ -220,17 +223,21 @@ def parse_overrides(texts: Iterable[str]) -> dict[str, str]:
 
     After the sign of equality stands a layer's name, or channels with commas between them, as
     ``depth=Z`` and ``motion=vel.R,-vel.G``: a minus turns an axis of motion, and motion that is
-    named by channels is taken in pixels and in `Frame`'s convention. ``none`` leaves the role out.
+    named by channels is taken in pixels and in `Frame`'s convention. ``none`` leaves the role out;
+    ``jitter=none`` an attribute, see `stillray.io.exr.jitter`.
 
     Raises
     ------
     InputError
-        A text has no sign of equality or an unknown role, or a role comes twice.
+        A text has no sign of equality or an unknown role, or a role comes twice; or it names a
+        layer for jitter.
     """
     chosen: dict[str, str] = {}
     for text in texts:
         role, equals, name = text.partition("=")
-        if not equals or role not in ROLES or not name:
+        if role == JITTER and name != "none":
+            raise InputError(f"layer jitter must be none, since no layer holds it, got {text}")
+        if not equals or role not in (*ROLES, JITTER) or not name:
             raise InputError(
                 f"layer must be ROLE=NAME with a role of {', '.join(ROLES)}, got {text}"
             )

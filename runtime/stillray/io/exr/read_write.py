@@ -28,7 +28,7 @@ from stillray.io.channels.roles import (
 )
 from stillray.io.exr.container import Window
 from stillray.io.exr.file import Channels, ExrFile
-from stillray.io.exr.jitter import find_jitter
+from stillray.io.exr.jitter import JITTER_ATTRIBUTE, find_jitter
 from stillray.io.exr.openimageio import checked_container, opened, openimageio, reason
 from stillray.io.exr.pixel_filter import find_filter
 from stillray.io.exr.rewrite import rewrite, unkept
@@ -91,7 +91,7 @@ def read_exr(
     layers
         Role to the layer or channels to take for it, as
         `stillray.io.channels.roles.parse_overrides` gives; and, of a file with several views,
-        ``"view"`` to the name of the one to take.
+        ``"view"`` to the name of the one to take. ``"jitter"`` to ``"none"`` reads no jitter.
     convention
         What the file's motion means, where its layer alone does not tell: from
         `stillray.io.channels.motion_detection.detect_motion`.
@@ -109,7 +109,7 @@ def read_exr(
     ------
     InputError
         A file cannot be read completely, lacks its buffer, or differs in size; a channel of
-        samples holds what no count can be.
+        samples holds what no count can be, or an attribute what no jitter can.
     """
     file = ExrFile.of_layers(path, layers)
     given = {role: Path(companion) for role, companion in (companions or {}).items()}
@@ -144,7 +144,7 @@ def read_exr(
             raise InputError(f"{file.path}: {error}; samples=none leaves the layer out") from None
     else:
         buffers["samples"] = source.number if samples is None else samples
-    buffers["jitter"] = find_jitter(file)
+    buffers["jitter"] = find_jitter(file, layers)
     buffers["filter_spread"] = find_filter(file, first).spread
     return Frame(**buffers)
 
@@ -291,7 +291,7 @@ def write_exr(
     like: str | os.PathLike[str] | None = None,
     layers: Mapping[str, str] | None = None,
     lights: Mapping[str, np.ndarray] | None = None,
-    attributes: Mapping[str, str] | None = None,
+    attributes: Mapping[str, str | None] | None = None,
 ) -> int:
     """Write a denoised picture, complete or not at all.
 
@@ -308,15 +308,16 @@ def write_exr(
     image : (h, w, 3) float
         Scene-linear radiance, premultiplied if the source's color was.
     like
-        The source file. Where the picture has not its size, only metadata are kept; and the
-        windows, enlarged, where it is a whole number of times as wide and high.
+        The source file. Where the picture has not its size, only metadata are kept, but for the
+        jitter, which is of other pixels; and the windows, enlarged, where it is a whole number of
+        times as wide and high.
     layers
         As it was read with, see `read_exr`.
     lights
         Filtered layers by name, from `read_lights`, which replace those of the source.
     attributes
-        Further attributes, such as where the picture comes from: ``{"stillray:model": "kpyr-5"}``.
-        ``stillray:version`` is always written.
+        Further attributes, such as where the picture comes from: ``{"stillray:model": "kpyr-5"}``;
+        None leaves out the source's. ``stillray:version`` is always written.
 
     Returns
     -------
@@ -344,7 +345,7 @@ def write_color(
     image: np.ndarray,
     *,
     like: str | os.PathLike[str] | None = None,
-    attributes: Mapping[str, str] | None = None,
+    attributes: Mapping[str, str | None] | None = None,
 ) -> int:
     """Write R, G, B in half precision, complete or not at all.
 
@@ -403,7 +404,7 @@ def write_views(
     views: Sequence[CleanView],
     *,
     like: str | os.PathLike[str],
-    attributes: Mapping[str, str] | None = None,
+    attributes: Mapping[str, str | None] | None = None,
 ) -> int:
     """Write the denoised pictures of several views into one file, complete or not at all.
 
@@ -499,7 +500,7 @@ def write_channels(
         A source file whose metadata are kept, and its data window and display window: where the
         planes are some times its size, enlarged by that.
     attributes
-        Further metadata: name to str, int or float.
+        Further metadata: name to str, int or float; None leaves out what the source has.
     compression
         An OpenEXR compression name, ``"zip"`` (lossless) unless told otherwise.
 
@@ -530,13 +531,17 @@ def write_channels(
             spec.full_height = times * source.full_height
         for attribute in source.extra_attribs:
             stored = attribute.name in _STORAGE_NAMES
-            if not stored and not attribute.name.startswith(_STORAGE_PREFIXES):
+            moved = attribute.name == JITTER_ATTRIBUTE and times != 1  # samples are elsewhere now
+            if not stored and not moved and not attribute.name.startswith(_STORAGE_PREFIXES):
                 spec.attribute(attribute.name, attribute.type, attribute.value)
     spec.channelnames = tuple(channels)
     spec.channelformats = tuple(oiio.TypeDesc(kind) for kind in kinds)
     spec.attribute("compression", compression)
     for name, value in (attributes or {}).items():
-        spec.attribute(name, value)
+        if value is None:
+            spec.erase_attribute(name)
+        else:
+            spec.attribute(name, value)
     half = np.finfo(np.float16)
     halves = [plane for plane, kind in zip(channels.values(), kinds, strict=True) if kind == "half"]
     clamped = sum(int(np.count_nonzero(np.abs(plane) > half.max)) for plane in halves)
