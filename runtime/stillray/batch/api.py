@@ -59,7 +59,7 @@ class ShotOptions:
     aovs
         Layers of light to filter as the color; empty for all that are known, None for none.
     only_color
-        Whether R, G and B are written and no other channels.
+        Whether R, G and B are written and no other channels; not with ``aovs``.
     frames
         Frames to write, as ``"10-80"``, ``"10-80x2"`` or ``"1,5,10-20"``; None for all.
     on_missing
@@ -124,6 +124,11 @@ class ShotOptions:
             check_samples(self.samples)
         if self.filter_spread is not None:
             check_spread(self.filter_spread)
+        if self.aovs is not None and self.only_color:
+            raise InputError(
+                "aovs must not be given with only-color, which writes no other layers, got "
+                f"{','.join(self.aovs) or 'all'}"
+            )
         if self.workers is not None and self.workers < 1:
             raise InputError(f"workers must be 1 or more, got {self.workers}")
         if self.workers is not None and self.scheduler is not None:

@@ -24,7 +24,7 @@ from stillray.io.exr.read_write import (
 )
 from stillray.io.exr.views import VIEW
 from stillray.io.frame_file import read_frame, views_to_denoise
-from stillray.io.image_file import is_float_map, write_image
+from stillray.io.image_file import is_float_map, kind_of_map, write_image
 
 
 class ViewFrame(NamedTuple):
@@ -234,13 +234,14 @@ class Layout:
         if is_float_map(path):
             write_image(path, picture.image)
             return 0
-        source = None if is_float_map(like) else like
+        if is_float_map(like):
+            return write_color(path, picture.image, kind=kind_of_map(like), attributes=told)
         if self.only_color:
-            return write_color(path, picture.image, like=source, attributes=told)
+            return write_color(path, picture.image, like=like, layers=self.layers, attributes=told)
         return write_exr(
             path,
             picture.image,
-            like=source,
+            like=like,
             layers=self.layers,
             lights=picture.lights,
             attributes=told,

@@ -100,7 +100,10 @@ def denoise(
         ),
     ] = None,
     only_color: Annotated[
-        bool, typer.Option("--only-color", help="Write R, G, B and no other channels.")
+        bool,
+        typer.Option(
+            "--only-color", help="Write R, G, B and no other channels, of the color's type."
+        ),
     ] = False,
     frames: Annotated[
         str | None, typer.Option(help="Frames to write, as 10-80, 10-80x2 or 1,5,10-20.")

@@ -208,11 +208,11 @@ def _of_float_map(path: Path, model: str) -> dict[str, Any]:
     from stillray.io.exr.pixel_filter import FilterSource
     from stillray.io.exr.samples import SampleSource
     from stillray.io.frame_file import read_frame
-    from stillray.io.image_file import read_image
+    from stillray.io.image_file import kind_of_map, read_image
 
     frame = read_frame(path, {})
     channels = ["R", "G", "B"] if read_image(path, "color").shape[2] == 3 else ["Y"]
-    kind = "half" if path.suffix.lower() == ".phm" else "float"
+    kind = kind_of_map(path)
     spec, stages = _stages(frame, model)
     window = [0, 0, frame.shape[1], frame.shape[0]]
     return {

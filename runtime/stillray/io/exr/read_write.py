@@ -322,7 +322,8 @@ def write_exr(
     Returns
     -------
     int
-        How many values were beyond what half precision holds (65504) and were clamped to it.
+        How many values were beyond what half precision holds (65504) and were clamped to it,
+        where the source's color, or without a source the picture, is of half precision.
 
     Raises
     ------
@@ -337,7 +338,7 @@ def write_exr(
             with atomic_path(Path(path)) as temporary:
                 tags = {**_VERSION, **(attributes or {})}
                 return rewrite(source.path, source.container, temporary, replaced, tags)
-    return write_color(path, image, like=like, attributes=attributes)
+    return write_color(path, image, like=like, layers=layers, attributes=attributes)
 
 
 def write_color(
@@ -345,16 +346,20 @@ def write_color(
     image: np.ndarray,
     *,
     like: str | os.PathLike[str] | None = None,
+    layers: Mapping[str, str] | None = None,
     attributes: Mapping[str, str | None] | None = None,
+    kind: str | None = None,
 ) -> int:
-    """Write R, G, B in half precision, complete or not at all.
+    """Write R, G, B and nothing else, complete or not at all.
 
     Parameters
     ----------
-    path, image, attributes
+    path, image, layers, attributes
         As for `write_exr`.
     like
-        A file whose metadata and, where the picture has its size, windows are taken.
+        A file whose metadata, type of color and, where the picture has its size, windows are taken.
+    kind
+        ``"half"`` or ``"float"``, whatever the source's color is; without either, half.
 
     Returns
     -------
@@ -367,8 +372,28 @@ def write_color(
         As `write_exr`.
     """
     image = _checked(image)
-    channels = {name: image[..., i] for i, name in enumerate("RGB")}
-    return write_channels(path, channels, like=like, attributes={**_VERSION, **(attributes or {})})
+    if kind is None:
+        kind = "half" if like is None else _kind_of_color(like, layers)
+    return write_channels(
+        path,
+        {name: image[..., i] for i, name in enumerate("RGB")},
+        formats=dict.fromkeys("RGB", kind),
+        like=like,
+        attributes={**_VERSION, **(attributes or {})},
+    )
+
+
+def _kind_of_color(path: str | os.PathLike[str], layers: Mapping[str, str] | None) -> str:
+    """The type that holds what a file's color holds: ``"half"`` or ``"float"``."""
+    file = ExrFile.of_layers(path, layers, headers_only=True)
+    wanted = [file.channels[name] for name in _color_and_more(file, layers)[0].writes]
+    kinds = {
+        channel.kind
+        for number, name in wanted
+        for channel in file.container.parts[number].channels
+        if channel.name == name
+    }
+    return "half" if kinds == {"half"} else "float"
 
 
 def _checked(image: np.ndarray) -> np.ndarray:
