@@ -58,6 +58,32 @@ def test_colours_are_read_beside_the_light_that_needs_them():
     assert set(read_lights(BLENDER / "frame_0001.exr")) == {"ViewLayer.Diffuse Direct"}
 
 
+def test_light_without_its_view_layer_is_that_of_the_whole_name(tmp_path):
+    path = BLENDER / "lights_0001.exr"
+    assert set(read_lights(path, ["Diffuse Direct", "Emission"])) == {
+        "ViewLayer.Diffuse Direct", "ViewLayer.Diffuse Color", "ViewLayer.Emission",
+    }  # fmt: skip
+    written = []
+    for name in ("Diffuse Direct", "ViewLayer.Diffuse Direct"):
+        options = stillray.ShotOptions(aovs=(name,))
+        stillray.denoise_shot(str(path), tmp_path / "c.exr", model="fast", options=options)
+        written.append(read_channels(tmp_path / "c.exr"))
+    for channel, plane in written[1].items():
+        np.testing.assert_array_equal(written[0][channel], plane)
+    noisy = read_channels(path)
+    assert not np.array_equal(written[0]["ViewLayer.Diffuse Direct.G"],
+                              noisy["ViewLayer.Diffuse Direct.G"])  # fmt: skip
+
+
+def test_a_light_that_is_not_there_is_one_of_the_aovs(tmp_path):
+    options = stillray.ShotOptions(aovs=("Rim",))
+    words = r"aovs must name layers of three colours, got Rim; the file has .*\.Diffuse Direct"
+    with pytest.raises(stillray.InputError, match=words):
+        stillray.denoise_shot(
+            str(BLENDER / "lights_0001.exr"), tmp_path / "c.exr", model="fast", options=options
+        )
+
+
 def test_no_light_is_lost_where_the_colour_is_black_beside_a_silhouette():
     frame = make_frame(*SHAPE)
     color = np.full((*SHAPE, 3), 0.5, np.float32)

@@ -23,6 +23,7 @@ from stillray.io.channels.roles import (
     color_of_light,
     find_alone,
     find_layers,
+    find_light,
     find_lights,
     gather,
 )
@@ -180,24 +181,29 @@ def read_lights(
     path
         An OpenEXR file.
     names
-        Which layers, as they are called in the file; all that are known to be light if empty.
+        Which layers, as they are called in the file, with or without their view layer; all that
+        are known to be light if empty.
     layers
         As for `read_exr`.
 
     Returns
     -------
     dict of str to (h, w, 3) float32
-        By name, in the data window of the color. Beside lights without the colour of surfaces
+        By whole name, in the data window of the color. Beside lights without the colour of surfaces
         stand the layers of that colour, where the file has them.
 
     Raises
     ------
     InputError
-        The file cannot be read, or has no such layer.
+        The file cannot be read, or has no such layer, or several without their view layers.
     """
     file = ExrFile.of_layers(path, layers)
     color = _color_and_more(file, layers)[0]
-    channels = _with_colors(file, _lights(file, names, layers))
+    # by whole names, since the colour of a light is of its view layer
+    lights = {
+        listed[0].rpartition(".")[0]: listed for listed in _lights(file, names, layers).values()
+    }
+    channels = _with_colors(file, lights)
     wanted = dict.fromkeys(name for listed in channels.values() for name in listed)
     planes = file.read(wanted, file.window(color.channels[0]))
     return {
@@ -613,7 +619,7 @@ def _lights(
     for name in names:
         if name not in known:
             # named by a user, it need not be known to be light
-            known[name] = find_layers(file.channels, {"color": name})[0].channels
+            known[name] = find_light(name, file.channels)
         found[name] = known[name]
     return found
 
