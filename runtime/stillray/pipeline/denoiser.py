@@ -182,7 +182,8 @@ class Denoiser:
         Raises
         ------
         InputError
-            The file is not one, or is another model's.
+            The file is not one, or is of a model of another name; of files that hold no name, as
+            they once did not, only the sizes are looked at.
         """
         keeps = self._keeps()
         self.state = keeps.unpack(read_arrays(path))
