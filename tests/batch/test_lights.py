@@ -1,5 +1,6 @@
 """Light passes without the colour of surfaces: times their colours they add up to the beauty."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 import stillray
 from stillray.batch.lights import denoise_lights
+from stillray.cli import main
 from stillray.io.exr.read_write import read_channels, read_lights
 from tests.conftest import make_frame
 
@@ -82,6 +84,31 @@ def test_a_light_that_is_not_there_is_one_of_the_aovs(tmp_path):
         stillray.denoise_shot(
             str(BLENDER / "lights_0001.exr"), tmp_path / "c.exr", model="fast", options=options
         )
+
+
+def test_colour_passes_that_are_written_anew_are_named_in_the_end(tmp_path, capsys):
+    source = BLENDER / "lights_0001.exr"
+    noisy = read_channels(source)
+
+    def denoised(aovs, output):
+        command = ["denoise", str(source), "-o", str(tmp_path / output), "-m", "fast", "--json"]
+        assert main([*command, "--aovs", aovs]) == 0
+        return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+    for aovs in ("all", "Diffuse Direct,Emission"):
+        events = denoised(aovs, "c.exr")
+        assert [event["event"] for event in events] == ["frame", "note", "summary"]
+        clean = read_channels(tmp_path / "c.exr")
+        changed = {n.rpartition(".")[0] for n in noisy if not np.array_equal(noisy[n], clean[n])}
+        anew = {name for name in changed if name.endswith(" Color")}
+        named = events[1]["text"].removeprefix("written anew as well: ").split(", filtered")[0]
+        assert anew
+        assert set(named.split(", ")) >= anew
+    assert set(named.split(", ")) == {"ViewLayer.Diffuse Color"}
+    # light that has its colour, and a file that holds the picture alone
+    assert [event["event"] for event in denoised("Emission", "c.exr")] == ["frame", "summary"]
+    notes = [event["text"] for event in denoised("all", "c.pfm") if event["event"] == "note"]
+    assert notes == [".pfm files hold the color alone"]
 
 
 def test_no_light_is_lost_where_the_colour_is_black_beside_a_silhouette():

@@ -311,6 +311,9 @@ class PlannedShot:
             )
         else:
             self.work.run(self.model, takewhile(go_on, self.steps), tell)
+        if any(frame.step.writes for frame in ran):
+            for line in self.layout.rewritten(self.jobs[0].source, outputs[0]):
+                progress.note(line)
         return ShotResult(
             model=self.model.name,
             frames=tuple(ran),

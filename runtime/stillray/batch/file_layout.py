@@ -9,13 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stillray.errors import InputError
+from stillray.errors import InputError, printable
 from stillray.frame import Frame
 from stillray.io.channels.motion_detection import Detection, detect_in_sequence
 from stillray.io.channels.roles import JITTER
 from stillray.io.exr.jitter import JITTER_ATTRIBUTE
 from stillray.io.exr.read_write import (
     CleanView,
+    colors_beside,
     expected_changes,
     read_lights,
     write_color,
@@ -199,6 +200,27 @@ class Layout:
             return [f"{output.suffix} files hold the color alone"]
         lines = [line for layers in self.of_views for line in expected_changes(source, layers)]
         return list(dict.fromkeys(lines))
+
+    def rewritten(self, source: Path, output: Path) -> list[str]:
+        """What else than the picture and the layers that were named is not the source's, in a line.
+
+        Parameters
+        ----------
+        source, output
+            Of one frame.
+        """
+        if self.aovs is None or is_float_map(source) or is_float_map(output):
+            return []
+        views = (colors_beside(source, self.aovs, layers=layers) for layers in self.of_views)
+        names = dict.fromkeys(name for view in views for name in view)
+        if not names:
+            return []
+        line = (
+            f"written anew as well: {', '.join(names)}, filtered as the light that they are to be "
+            "multiplied by, so that it still adds up to the picture; as rendered they stay in the "
+            "sources"
+        )
+        return [printable(line)]
 
     def write(
         self,

@@ -42,6 +42,7 @@ __all__ = [
     "ExrFile",
     "atomic_path",
     "check_layer",
+    "colors_beside",
     "expected_changes",
     "read_channels",
     "read_exr",
@@ -199,17 +200,38 @@ def read_lights(
     """
     file = ExrFile.of_layers(path, layers)
     color = _color_and_more(file, layers)[0]
-    # by whole names, since the colour of a light is of its view layer
-    lights = {
-        listed[0].rpartition(".")[0]: listed for listed in _lights(file, names, layers).values()
-    }
-    channels = _with_colors(file, lights)
+    channels = _with_colors(file, _by_whole_name(_lights(file, names, layers)))
     wanted = dict.fromkeys(name for listed in channels.values() for name in listed)
     planes = file.read(wanted, file.window(color.channels[0]))
     return {
         name: np.stack([planes[channel] for channel in listed], axis=-1)
         for name, listed in channels.items()
     }
+
+
+def colors_beside(
+    path: str | os.PathLike[str],
+    names: Sequence[str] = (),
+    *,
+    layers: Mapping[str, str] | None = None,
+) -> list[str]:
+    """Layers of the colour of surfaces that `read_lights` gives beside the lights of those names.
+
+    So `write_exr` writes them anew where it is given what became of the lights. Reads headers only.
+
+    Parameters
+    ----------
+    path, names, layers
+        As for `read_lights`.
+
+    Raises
+    ------
+    InputError
+        As `read_lights`.
+    """
+    file = ExrFile.of_layers(path, layers, headers_only=True)
+    lights = _by_whole_name(_lights(file, names, layers))
+    return [name for name in _with_colors(file, lights) if name not in lights]
 
 
 def require_color(path: Path, matches: list[LayerMatch], names: Iterable[str]) -> list[LayerMatch]:
@@ -622,6 +644,11 @@ def _lights(
             known[name] = find_light(name, file.channels)
         found[name] = known[name]
     return found
+
+
+def _by_whole_name(lights: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
+    """The same, since the colour of a light that is named without its view layer is of that too."""
+    return {channels[0].rpartition(".")[0]: channels for channels in lights.values()}
 
 
 def _with_colors(
