@@ -1,5 +1,6 @@
 """Light passes without the colour of surfaces: times their colours they add up to the beauty."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 import stillray
 from stillray.batch.lights import denoise_lights
+from stillray.cli import main
 from stillray.io.exr.read_write import read_channels, read_lights
 from tests.conftest import make_frame
 
@@ -56,6 +58,57 @@ def test_colours_are_read_beside_the_light_that_needs_them():
     }  # fmt: skip
     # a file without the colour
     assert set(read_lights(BLENDER / "frame_0001.exr")) == {"ViewLayer.Diffuse Direct"}
+
+
+def test_light_without_its_view_layer_is_that_of_the_whole_name(tmp_path):
+    path = BLENDER / "lights_0001.exr"
+    assert set(read_lights(path, ["Diffuse Direct", "Emission"])) == {
+        "ViewLayer.Diffuse Direct", "ViewLayer.Diffuse Color", "ViewLayer.Emission",
+    }  # fmt: skip
+    written = []
+    for name in ("Diffuse Direct", "ViewLayer.Diffuse Direct"):
+        options = stillray.ShotOptions(aovs=(name,))
+        stillray.denoise_shot(str(path), tmp_path / "c.exr", model="fast", options=options)
+        written.append(read_channels(tmp_path / "c.exr"))
+    for channel, plane in written[1].items():
+        np.testing.assert_array_equal(written[0][channel], plane)
+    noisy = read_channels(path)
+    assert not np.array_equal(written[0]["ViewLayer.Diffuse Direct.G"],
+                              noisy["ViewLayer.Diffuse Direct.G"])  # fmt: skip
+
+
+def test_a_light_that_is_not_there_is_one_of_the_aovs(tmp_path):
+    options = stillray.ShotOptions(aovs=("Rim",))
+    words = r"aovs must name layers of three colours, got Rim; the file has .*\.Diffuse Direct"
+    with pytest.raises(stillray.InputError, match=words):
+        stillray.denoise_shot(
+            str(BLENDER / "lights_0001.exr"), tmp_path / "c.exr", model="fast", options=options
+        )
+
+
+def test_colour_passes_that_are_written_anew_are_named_in_the_end(tmp_path, capsys):
+    source = BLENDER / "lights_0001.exr"
+    noisy = read_channels(source)
+
+    def denoised(aovs, output):
+        command = ["denoise", str(source), "-o", str(tmp_path / output), "-m", "fast", "--json"]
+        assert main([*command, "--aovs", aovs]) == 0
+        return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+    for aovs in ("all", "Diffuse Direct,Emission"):
+        events = denoised(aovs, "c.exr")
+        assert [event["event"] for event in events] == ["frame", "note", "summary"]
+        clean = read_channels(tmp_path / "c.exr")
+        changed = {n.rpartition(".")[0] for n in noisy if not np.array_equal(noisy[n], clean[n])}
+        anew = {name for name in changed if name.endswith(" Color")}
+        named = events[1]["text"].removeprefix("written anew as well: ").split(", filtered")[0]
+        assert anew
+        assert set(named.split(", ")) >= anew
+    assert set(named.split(", ")) == {"ViewLayer.Diffuse Color"}
+    # light that has its colour, and a file that holds the picture alone
+    assert [event["event"] for event in denoised("Emission", "c.exr")] == ["frame", "summary"]
+    notes = [event["text"] for event in denoised("all", "c.pfm") if event["event"] == "note"]
+    assert notes == [".pfm files hold the color alone"]
 
 
 def test_no_light_is_lost_where_the_colour_is_black_beside_a_silhouette():

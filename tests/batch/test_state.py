@@ -35,6 +35,15 @@ def test_a_second_run_goes_on_with_what_the_first_has_learned(shot):
     assert np.abs(taught - untaught).max() > 0
 
 
+def test_a_state_of_another_model_is_refused_in_a_line(shot, capsys):
+    assert run("--frames", "1", "--state", "past.npz") == 0
+    kept = (shot / "past.npz").read_bytes()
+    assert run("-m", "online-warm", "--frames", "2", "--state", "past.npz") == 2
+    assert "state must be one of online-warm, got one of online" in capsys.readouterr().err
+    assert not (shot / "clean.2.exr").exists()
+    assert (shot / "past.npz").read_bytes() == kept
+
+
 def test_a_killed_run_that_is_resumed_gives_the_same_pictures(shot):
     assert run() == 0
     whole = read_picture("clean.4.exr")

@@ -208,6 +208,27 @@ def test_a_state_of_anything_else_is_refused(online, tmp_path):
         online.load(path)
 
 
+def test_a_state_of_another_model_of_the_same_shapes_is_refused(online, tmp_path):
+    online.denoise(halves(8, 8))
+    online.save(tmp_path / "past.npz")
+    with Denoiser("online-warm", threads=1) as other:
+        words = "state must be one of online-warm, got one of online$"
+        with pytest.raises(InputError, match=words):
+            other.load(tmp_path / "past.npz")
+        assert other.state is None
+    with np.load(tmp_path / "past.npz") as file:
+        arrays = dict(file)
+    for letters in ([-1.0], [2.0**22], [1e30], []):
+        np.savez(tmp_path / "bent.npz", **{**arrays, "model": np.array(letters, np.float32)})
+        with pytest.raises(InputError, match="of online, got one of another model"):
+            online.load(tmp_path / "bent.npz")
+    # files of before names were kept are taken for what they are given as
+    arrays.pop("model")
+    np.savez(tmp_path / "old.npz", **arrays)
+    online.load(tmp_path / "old.npz")
+    assert learned(online).steps == 1
+
+
 def test_other_models_keep_no_state(tmp_path):
     with Denoiser("fast", threads=1) as denoiser, pytest.raises(InputError, match="learns"):
         denoiser.save(tmp_path / "past.npz")

@@ -348,6 +348,34 @@ def test_write_exr_only_color_of_a_multi_part_source_is_one_whole_part(tmp_path)
     assert read_metadata(tmp_path / "o.exr").getattribute("name") is None
 
 
+@pytest.mark.parametrize(
+    ("kinds", "expected"), [("half", "half"), ("float", "float"), ("mixed", "float")]
+)
+@pytest.mark.parametrize("scale", [1, 2])
+def test_a_picture_alone_has_the_type_of_the_color_of_its_source(tmp_path, kinds, expected, scale):
+    formats = dict.fromkeys(("key.R", "key.G", "key.B"), kinds)
+    if kinds == "mixed":
+        formats = {"key.R": "half", "key.G": "half", "key.B": "float"}
+    # the layer of the other type is not the one that was chosen
+    other = "half" if expected == "float" else "float"
+    formats |= dict.fromkeys("RGB", other)
+    write_channels(tmp_path / "s.exr", planes(*formats), formats=formats)
+    image = np.full((scale * HEIGHT, scale * WIDTH, 3), 1e5, np.float32)
+    clamped = write_color(
+        tmp_path / "o.exr", image, like=tmp_path / "s.exr", layers={"color": "key"}
+    )
+    assert str(read_metadata(tmp_path / "o.exr").format) == expected
+    assert clamped == (image.size if expected == "half" else 0)
+    assert read_exr(tmp_path / "o.exr").color.max() == (65504 if expected == "half" else 1e5)
+
+
+def test_a_picture_alone_has_the_type_that_is_asked_for(tmp_path):
+    image = np.full((HEIGHT, WIDTH, 3), 1e5, np.float32)
+    write_channels(tmp_path / "s.exr", planes(*"RGB"))
+    write_color(tmp_path / "o.exr", image, like=tmp_path / "s.exr", kind="float")
+    np.testing.assert_array_equal(read_exr(tmp_path / "o.exr").color, image)
+
+
 def test_read_exr_brings_a_cropped_part_to_the_window_of_the_color(tmp_path):
     # Redshift crops each part to what is not black
     rng = np.random.default_rng(3)

@@ -7,7 +7,14 @@ import pytest
 
 from stillray.errors import InputError
 from stillray.io.channels.renderers import parse_table
-from stillray.io.channels.roles import find_alone, find_layers, find_lights, gather, parse_overrides
+from stillray.io.channels.roles import (
+    find_alone,
+    find_layers,
+    find_light,
+    find_lights,
+    gather,
+    parse_overrides,
+)
 
 
 def roles(names):
@@ -230,6 +237,40 @@ def test_motion_chosen_by_an_unknown_layer_waits_for_proof():
 def test_a_wrong_choice_is_refused_with_what_there_is(text, words):
     with pytest.raises(InputError, match=words):
         find_layers([*"RGB", *layer("N", "XYZ")], parse_overrides([text]))
+
+
+def test_a_name_may_leave_out_the_view_layer_where_it_is_the_only_one():
+    names = [*blender("Front"), *layer("Front.Glow", "RGB"), *layer("Back.Glow", "RGB")]
+    chosen = parse_overrides(["albedo=Denoising Albedo", "depth=Denoising Depth.Z"])
+    found = {match.role: match for match in find_layers(names, chosen)}
+    assert found["albedo"].renderer == "chosen"
+    assert found["albedo"].channels == tuple(layer("Front.Denoising Albedo", "RGB"))
+    assert found["depth"].channels == ("Front.Denoising Depth.Z",)
+    with pytest.raises(InputError, match=r"layer albedo=Glow: .* of Front\.Glow, Back\.Glow$"):
+        find_layers(names, {"albedo": "Glow"})
+    whole = find_layers(names, {"albedo": "Back.Glow"})
+    assert tuple(layer("Back.Glow", "RGB")) in [match.channels for match in whole]
+    # a component is no name of a layer
+    with pytest.raises(InputError, match="depth=Z: must name a layer"):
+        find_layers([*"RGB", "Front.Normal.Z"], {"depth": "Z"})
+
+
+def test_motion_without_its_view_layer_means_what_its_renderer_says():
+    found = find_layers(blender("Front"), {"motion": "Vector"})
+    match = next(match for match in found if match.role == "motion")
+    assert match.used
+    assert match.signs == (1.0, -1.0)
+
+
+def test_a_layer_of_light_is_named_with_or_without_its_view_layer():
+    names = [*blender("Front"), *layer("Front.Glow", "RGB"), *layer("Back.Glow", "RGB")]
+    names += layer("Front.Key", "RGB")
+    assert find_light("Front.Key", names) == tuple(layer("Front.Key", "RGB"))
+    assert find_light("Key", names) == tuple(layer("Front.Key", "RGB"))
+    with pytest.raises(InputError, match=r"aovs must name one .* Glow: of Front\.Glow, Back\.Glow"):
+        find_light("Glow", names)
+    with pytest.raises(InputError, match=r"aovs must name .*, got none; the file has .*Front\.Key"):
+        find_light("none", names)
 
 
 def test_a_role_chosen_twice_is_refused():

@@ -204,6 +204,33 @@ def test_command_line_only_color_writes_nothing_else(tmp_path):
     command = ["denoise", f"{tmp_path}/s.1.exr", "-o", f"{tmp_path}/c.exr", "-m", "kpyr-5s"]
     assert main([*command, "--only-color"]) == 0
     assert set(read_channels(tmp_path / "c.exr")) == {"R", "G", "B"}
+    frame = read_exr(tmp_path / "s.1.exr")
+    with stillray.Denoiser("kpyr-5s") as denoiser:
+        expected = denoiser.denoise(frame)
+    # of the source's type, which is float32
+    np.testing.assert_array_equal(read_exr(tmp_path / "c.exr").color, expected)
+
+
+def test_command_line_doubles_floats_to_floats(tmp_path):
+    frame = next(frames(1))
+    channels = {name: 1e5 * frame.color[..., i] for i, name in enumerate("RGB")}
+    channels |= {f"motion.{c}": frame.motion[..., i] for i, c in enumerate("XY")}
+    write_channels(tmp_path / "s.exr", channels, formats=dict.fromkeys(channels, "float"))
+    command = ["denoise", f"{tmp_path}/s.exr", "-o", f"{tmp_path}/c.exr", "-m", "munet-x2"]
+    assert main(command) == 0
+    clean = read_exr(tmp_path / "c.exr").color
+    assert clean.shape == (2 * HEIGHT, 2 * WIDTH, 3)
+    assert clean.max() > 65504
+
+
+@pytest.mark.parametrize("aovs", ["diffuse", "all"])
+def test_command_line_does_not_filter_layers_that_it_will_not_write(tmp_path, capsys, aovs):
+    write_shot(tmp_path)
+    command = ["denoise", f"{tmp_path}/s.1.exr", "-o", f"{tmp_path}/c.exr", "-m", "kpyr-5s"]
+    assert main([*command, "--aovs", aovs, "--only-color"]) == 2
+    words = f"aovs must not be given with only-color, which writes no other layers, got {aovs}"
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "c.exr").exists()
 
 
 def test_command_line_takes_layers_by_name(tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -61,7 +61,7 @@ class ShotOptions:
     aovs
         Layers of light to filter as the color; empty for all that are known, None for none.
     only_color
-        Whether R, G and B are written and no other channels.
+        Whether R, G and B are written and no other channels; not with ``aovs``.
     frames
         Frames to write, as ``"10-80"``, ``"10-80x2"`` or ``"1,5,10-20"``; None for all.
     on_missing
@@ -127,6 +127,11 @@ class ShotOptions:
         if self.filter_spread is not None:
             check_spread(self.filter_spread)
         check_memory(self.max_memory)
+        if self.aovs is not None and self.only_color:
+            raise InputError(
+                "aovs must not be given with only-color, which writes no other layers, got "
+                f"{','.join(self.aovs) or 'all'}"
+            )
         if self.workers is not None and self.workers < 1:
             raise InputError(f"workers must be 1 or more, got {self.workers}")
         if self.workers is not None and self.scheduler is not None:
@@ -322,6 +327,9 @@ class PlannedShot:
             )
         else:
             self.work.run(self.model, takewhile(go_on, self.steps), tell)
+        if any(frame.step.writes for frame in ran):
+            for line in self.layout.rewritten(self.jobs[0].source, outputs[0]):
+                progress.note(line)
         return ShotResult(
             model=self.model.name,
             frames=tuple(ran),
@@ -371,12 +379,10 @@ def plan_run(
     )
     _check_outputs(jobs, layout, resume=options.resume)
     chosen, family = _opened(model, options, alone=not temporal or len(jobs) == 1)
+    layout = replace(layout, sees_jitter=family.traits.sees_jitter)
     memory, cuts = _memory(family, options, len(jobs)), options.cuts and temporal
     precision = _precision(chosen, options)
-    network = network_path(chosen, precision, options.providers)
-    unusual = _unusual(precision, options.ensemble)
-    changing = {"temporal": temporal, "cuts": cuts, **layout.options(), **unusual}
-    recipe = Recipe(model=chosen.name, model_digest=file_digest(network), options=changing)
+    recipe = _recipe(chosen, precision, layout, options)
     done = [False] * len(jobs)
     if options.resume and (look or not options.in_chunks):
         done = finished(jobs, recipe, memory=memory, layers=layout.of_views)
@@ -438,6 +444,18 @@ def _opened(name: str, options: ShotOptions, *, alone: bool) -> tuple[ModelInfo,
             f"aovs must not be given with {model.name}, which denoises the beauty alone"
         )
     return model, family
+
+
+def _recipe(model: ModelInfo, precision: str, layout: Layout, options: ShotOptions) -> Recipe:
+    """What goes into the files' provenance, and tells whether they are finished."""
+    network = network_path(model, precision, options.providers)
+    changing = {
+        "temporal": options.temporal,
+        "cuts": options.cuts and options.temporal,
+        **layout.options(),
+        **_unusual(precision, options.ensemble),
+    }
+    return Recipe(model=model.name, model_digest=file_digest(network), options=changing)
 
 
 def _unusual(precision: str, ensemble: int) -> dict[str, str | int]:

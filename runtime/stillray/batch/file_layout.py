@@ -9,11 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stillray.errors import InputError
+from stillray.errors import InputError, printable
 from stillray.frame import Frame
 from stillray.io.channels.motion_detection import Detection, detect_in_sequence
+from stillray.io.channels.roles import JITTER
+from stillray.io.exr.jitter import JITTER_ATTRIBUTE
 from stillray.io.exr.read_write import (
     CleanView,
+    colors_beside,
     expected_changes,
     read_lights,
     write_color,
@@ -22,7 +25,7 @@ from stillray.io.exr.read_write import (
 )
 from stillray.io.exr.views import VIEW
 from stillray.io.frame_file import read_frame, views_to_denoise
-from stillray.io.image_file import is_float_map, write_image
+from stillray.io.image_file import is_float_map, kind_of_map, write_image
 
 
 class ViewFrame(NamedTuple):
@@ -72,6 +75,9 @@ class Layout:
     views
         Names of the views, all of which are denoised; empty for one picture, or where ``layers``
         choose a view.
+    sees_jitter
+        Whether the model looks at the frames' jitter, see `stillray.families.contract.Traits`.
+        What a model does not look at stands in the files as it stood, whatever it is.
     """
 
     layers: Mapping[str, str] = field(default_factory=dict)
@@ -80,6 +86,7 @@ class Layout:
     detection: Detection | None = None
     told: Told = Told()
     views: tuple[str, ...] = ()
+    sees_jitter: bool = True
 
     @classmethod
     def of(
@@ -159,7 +166,7 @@ class Layout:
             frame = read_frame(
                 path,
                 companions,
-                layers=layers,
+                layers=layers if self.sees_jitter else {**layers, JITTER: "none"},
                 convention=convention,
                 before=before,
                 samples=self.told.samples,
@@ -194,6 +201,27 @@ class Layout:
         lines = [line for layers in self.of_views for line in expected_changes(source, layers)]
         return list(dict.fromkeys(lines))
 
+    def rewritten(self, source: Path, output: Path) -> list[str]:
+        """What else than the picture and the layers that were named is not the source's, in a line.
+
+        Parameters
+        ----------
+        source, output
+            Of one frame.
+        """
+        if self.aovs is None or is_float_map(source) or is_float_map(output):
+            return []
+        views = (colors_beside(source, self.aovs, layers=layers) for layers in self.of_views)
+        names = dict.fromkeys(name for view in views for name in view)
+        if not names:
+            return []
+        line = (
+            f"written anew as well: {', '.join(names)}, filtered as the light that they are to be "
+            "multiplied by, so that it still adds up to the picture; as rendered they stay in the "
+            "sources"
+        )
+        return [printable(line)]
+
     def write(
         self,
         path: Path,
@@ -215,24 +243,28 @@ class Layout:
         attributes
             What is told of it in an EXR file.
         """
+        told: dict[str, str | None] = dict(attributes or {})
+        if self.sees_jitter:
+            told[JITTER_ATTRIBUTE] = None  # of the source's samples, not of this picture's
         if self.views:
             clean = [
                 CleanView(layers=layers, image=image, lights=lights)
                 for layers, (image, lights) in zip(self.of_views, pictures, strict=True)
             ]
-            return write_views(path, clean, like=like, attributes=attributes)
+            return write_views(path, clean, like=like, attributes=told)
         (picture,) = pictures
         if is_float_map(path):
             write_image(path, picture.image)
             return 0
-        source = None if is_float_map(like) else like
+        if is_float_map(like):
+            return write_color(path, picture.image, kind=kind_of_map(like), attributes=told)
         if self.only_color:
-            return write_color(path, picture.image, like=source, attributes=attributes)
+            return write_color(path, picture.image, like=like, layers=self.layers, attributes=told)
         return write_exr(
             path,
             picture.image,
-            like=source,
+            like=like,
             layers=self.layers,
             lights=picture.lights,
-            attributes=attributes,
+            attributes=told,
         )

@@ -100,7 +100,10 @@ def denoise(
         ),
     ] = None,
     only_color: Annotated[
-        bool, typer.Option("--only-color", help="Write R, G, B and no other channels.")
+        bool,
+        typer.Option(
+            "--only-color", help="Write R, G, B and no other channels, of the color's type."
+        ),
     ] = False,
     frames: Annotated[
         str | None, typer.Option(help="Frames to write, as 10-80, 10-80x2 or 1,5,10-20.")
@@ -214,6 +217,9 @@ def denoise(
     ] = False,
 ) -> None:
     """Denoise an EXR or PFM file or a numbered sequence.
+
+    Models that enlarge, as munet-x2, look where samples lie in their pixels, which the EXR
+    attribute stillray:jitter says: docs/command-line.md has its convention.
 
     Flags of oidnDenoise that mean the same are taken: --hdr, --alb, --nrm, -o, -q, with one dash
     or two.

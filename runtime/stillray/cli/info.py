@@ -153,7 +153,7 @@ def _print_stored(facts: dict[str, Any]) -> None:
 
 def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[str, Any]:
     from stillray.io.channels.motion_detection import detect_in_sequence
-    from stillray.io.channels.roles import find_layers
+    from stillray.io.channels.roles import JITTER, find_layers
     from stillray.io.exr.pixel_filter import find_filter
     from stillray.io.exr.read_write import ExrFile, read_exr, require_color
     from stillray.io.exr.samples import find_samples
@@ -165,9 +165,15 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
     detection = detect_in_sequence(paths, layers=chosen)
     if detection is not None and len(paths) > 1:
         matches = [_with_proof(match, detection) for match in matches]
-    frame = read_exr(path, layers=chosen, convention=detection.convention if detection else None)
+    convention = detection.convention if detection else None
+    frame = read_exr(path, layers={**chosen, JITTER: "none"}, convention=convention)
+    jitter, wrong = _find_jitter(opened, chosen)
+    frame = replace(frame, jitter=jitter)
     part = opened.container.parts[opened.channels[matches[0].channels[0]][0]]
     spec, stages = _stages(frame, model)
+    told = _told_jitter(spec)
+    if wrong and told:
+        raise InputError(wrong)
     return {
         "file": str(path),
         "height": frame.shape[0],
@@ -191,6 +197,7 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
         | {"told": spec.knows_samples},
         "pixel_filter": _filter(find_filter(opened, matches[0].channels[0]))
         | {"told": spec.knows_filter},
+        "jitter": _jitter(jitter) | {"note": wrong, "told": told},
         "color_pixels": _count_pixels(frame.color),
         "warnings": _warnings(frame.normal),
         **stages,
@@ -201,11 +208,11 @@ def _of_float_map(path: Path, model: str) -> dict[str, Any]:
     from stillray.io.exr.pixel_filter import FilterSource
     from stillray.io.exr.samples import SampleSource
     from stillray.io.frame_file import read_frame
-    from stillray.io.image_file import read_image
+    from stillray.io.image_file import kind_of_map, read_image
 
     frame = read_frame(path, {})
     channels = ["R", "G", "B"] if read_image(path, "color").shape[2] == 3 else ["Y"]
-    kind = "half" if path.suffix.lower() == ".phm" else "float"
+    kind = kind_of_map(path)
     spec, stages = _stages(frame, model)
     window = [0, 0, frame.shape[1], frame.shape[0]]
     return {
@@ -237,6 +244,7 @@ def _of_float_map(path: Path, model: str) -> dict[str, Any]:
         ],
         "samples": _samples(frame, SampleSource()) | {"told": spec.knows_samples},
         "pixel_filter": _filter(FilterSource()) | {"told": spec.knows_filter},
+        "jitter": _jitter(None) | {"note": "", "told": _told_jitter(spec)},
         "color_pixels": _count_pixels(frame.color),
         "warnings": [],
         **stages,
@@ -304,6 +312,39 @@ def _say_filter(found: dict[str, Any]) -> str:
     )
 
 
+def _find_jitter(opened: ExrFile, chosen: dict[str, str]) -> tuple[np.ndarray | None, str]:
+    """A file's jitter; or why it says none that can be used, which few models mind."""
+    from stillray.io.exr.jitter import find_jitter
+
+    try:
+        return find_jitter(opened, chosen), ""
+    except InputError as error:
+        return None, str(error)
+
+
+def _told_jitter(spec: ModelSpec) -> bool:
+    return "jitter" in (*spec.inputs.required, *spec.inputs.optional)
+
+
+def _jitter(jitter: np.ndarray | None) -> dict[str, float | None]:
+    x, y = (None, None) if jitter is None else (float(value) for value in jitter)
+    return {"x": x, "y": y}
+
+
+def _say_jitter(found: dict[str, Any]) -> str:
+    from stillray.io.exr.jitter import JITTER_ATTRIBUTE
+
+    note = f" ({found['note']})" if found["note"] else ""
+    if found["x"] is None:
+        hint = f"; {JITTER_ATTRIBUTE} says it" if found["told"] else ""
+        return f"jitter: not known{note}{hint}"
+    network = "" if found["told"] else "; the model does not look at it"
+    return (
+        f"jitter: samples lie ({found['x']:.4g}, {found['y']:.4g}) pixels from the centres of "
+        f"their pixels, x right and y down, from {JITTER_ATTRIBUTE}{network}"
+    )
+
+
 def _count_pixels(color: np.ndarray) -> dict[str, int]:
     import numpy as np
 
@@ -355,6 +396,7 @@ def _print_facts(facts: dict[str, Any]) -> None:
     out.print(f"color pixels: {counts}, of {pixels['total']}")
     out.print(_say_samples(facts["samples"]))
     out.print(_say_filter(facts["pixel_filter"]))
+    out.print(printable(_say_jitter(facts["jitter"])))
     for warning in facts["warnings"]:
         out.print(f"warning: {warning}")
     out.print()

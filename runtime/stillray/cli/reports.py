@@ -84,7 +84,8 @@ class _Quiet:
 class _Json:
     """One JSON object a line: ``"event"`` is ``"frame"``, at the end ``"summary"``; ``"motion"``
     comes first where its convention had to be proven, ``"note"`` where outputs cannot keep all of
-    the structure of inputs, ``"wait"`` where workers are waited for."""
+    the structure of inputs, or, after the frames, have other layers written anew, ``"wait"`` where
+    workers are waited for."""
 
     def motion(self, detection: Detection) -> None:
         facts = {

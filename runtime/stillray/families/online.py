@@ -248,7 +248,7 @@ class OnlineModel:
 
     def pack(self, state: State) -> dict[str, np.ndarray]:
         """A state as arrays by name, of which `unpack` makes the same state."""
-        return pack(state)
+        return pack(state, self.spec.name)
 
     def unpack(self, arrays: Mapping[str, np.ndarray]) -> State:
         """`pack` undone.

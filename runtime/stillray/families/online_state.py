@@ -16,14 +16,22 @@ from stillray.stages.state import History
 _VECTORS = ("weights", "first", "second", "kept")
 _PLANES = ("mean_a", "mean_b", "output")
 _MOST_PIXELS = 2**16  # of a side
+_MOST_LETTERS = 64  # of a name that is shown
 
 
-def pack(state: State) -> dict[str, np.ndarray]:
+def pack(state: State, model: str) -> dict[str, np.ndarray]:
     """A state as float32 arrays by name, of which `unpack` makes the same state.
 
     Numbers of steps are exact up to 2 ** 24.
+
+    Parameters
+    ----------
+    state
+        The state.
+    model
+        Name of the model whose it is.
     """
-    arrays = {"shape": np.array(state.shape, np.float32)}
+    arrays = {"shape": np.array(state.shape, np.float32), "model": _letters(model)}
     if isinstance(state.learned, Learned):
         learned = state.learned
         arrays |= {name: getattr(learned, name) for name in _VECTORS}
@@ -61,7 +69,8 @@ def unpack(arrays: Mapping[str, np.ndarray], model: str, weights: int) -> State:
     arrays
         Finite float32 arrays by name, of anybody.
     model
-        Its name, for errors.
+        Its name. Files of before names were kept have none: whose they are nobody knows, and they
+        are taken for this one's, so that what was learned is not lost.
     weights
         How many the model has.
 
@@ -70,13 +79,16 @@ def unpack(arrays: Mapping[str, np.ndarray], model: str, weights: int) -> State:
     InputError
         The arrays are not those of a state of this model.
     """
+    owner = arrays.get("model", _letters(model))
+    if not np.array_equal(owner, _letters(model)):
+        raise InputError(f"state must be one of {model}, got one of {_word(owner)}")
     shape = arrays.get("shape", np.empty(0, np.float32))
     if shape.shape != (2,) or not (shape >= 1).all() or not (shape <= _MOST_PIXELS).all():
         raise InputError(f"state must be one of {model}: it has no shape of a frame")
     height, width = (int(size) for size in shape)
     sizes: dict[str, tuple[int, ...]] = {name: (weights,) for name in _VECTORS}
     sizes |= {name: (height, width, 4) for name in (*_PLANES, "guides", "albedo")}
-    sizes |= {"steps": (2,), "shape": (2,), "albedo_frames": (1,)}
+    sizes |= {"steps": (2,), "shape": (2,), "albedo_frames": (1,), "model": owner.shape}
     for half in "ab":
         sizes |= {f"{name}_{half}": (2,) for name in ("exposure", "samples", "noise_exposure")}
         # blocks of any size: the next frame begins anew where it has others
@@ -88,6 +100,20 @@ def unpack(arrays: Mapping[str, np.ndarray], model: str, weights: int) -> State:
         if array.shape != sizes.get(name):
             raise InputError(f"state must be one of {model}, got {name} of shape {array.shape}")
     return State(shape=(height, width), temporal=_past(arrays), learned=_learned(arrays))
+
+
+def _letters(word: str) -> np.ndarray:
+    """A word as numbers, since files hold nothing else."""
+    return np.array([ord(letter) for letter in word], np.float32)
+
+
+def _word(letters: np.ndarray) -> str:
+    """`_letters` undone, as far as anybody's numbers are a word."""
+    try:
+        word = "".join(chr(int(letter)) for letter in letters.ravel()[:_MOST_LETTERS])
+    except (ValueError, OverflowError):
+        word = ""
+    return word or "another model"
 
 
 def _learned(arrays: Mapping[str, np.ndarray]) -> Learned | None:

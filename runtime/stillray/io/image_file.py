@@ -22,6 +22,11 @@ def is_float_map(path: str | os.PathLike[str]) -> bool:
     return Path(path).suffix.lower() in FLOAT_MAPS
 
 
+def kind_of_map(path: str | os.PathLike[str]) -> str:
+    """The numbers of a float map, as EXR calls them: ``"half"`` of a PHM, ``"float"`` of a PFM."""
+    return "half" if Path(path).suffix.lower() == ".phm" else "float"
+
+
 def check_suffix(path: Path) -> Path:
     """The path, if its suffix is that of a file that can be read and written.
 
@@ -63,7 +68,10 @@ def read_image(path: Path, role: str) -> np.ndarray:
 
 
 def write_image(path: Path, image: np.ndarray, *, like: Path | None = None) -> None:
-    """Write a picture, complete or not at all; EXR with the windows and tags of ``like``.
+    """Write a picture, complete or not at all.
+
+    EXR has the windows, the tags and the type of ``like``, of which a float map has the type alone;
+    half without.
 
     Raises
     ------
@@ -73,5 +81,8 @@ def write_image(path: Path, image: np.ndarray, *, like: Path | None = None) -> N
     if is_float_map(check_suffix(path)):
         write_pfm(path, image)
         return
-    source = like if like is not None and like.suffix.lower() == ".exr" else None
-    write_color(path, np.broadcast_to(image, (*image.shape[:2], 3)), like=source)
+    image = np.broadcast_to(image, (*image.shape[:2], 3))
+    if like is not None and is_float_map(like):
+        write_color(path, image, kind=kind_of_map(like))
+    else:
+        write_color(path, image, like=like)

@@ -197,7 +197,8 @@ class Denoiser:
         Raises
         ------
         InputError
-            The file is not one, or is another model's; or a frame is in work.
+            The file is not one, or is of a model of another name; of files that hold no name, as
+            they once did not, only the sizes are looked at. Or a frame is in work.
         """
         keeps = self._keeps()
         self.state = keeps.unpack(read_arrays(path))

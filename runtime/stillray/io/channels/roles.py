@@ -20,16 +20,20 @@ from stillray.io.channels.motion_convention import MotionConvention
 from stillray.io.channels.renderers import ROLES, Rule, renderer_table
 
 __all__ = [
+    "JITTER",
     "ROLES",
     "LayerMatch",
     "color_of_light",
     "find_alone",
     "find_layers",
+    "find_light",
     "find_lights",
     "gather",
     "parse_overrides",
 ]
 
+#: Said by an attribute of files, not by a layer; named beside layers, it can only be left out.
+JITTER = "jitter"
 _UNPROVEN = "sign and units of this motion are not verified: not used unless two frames prove them"
 _SHORTEST_LOOSE_NAME = 3  # letters: shorter names, N and Z, must match exactly
 _COUNTS = {
@@ -183,6 +187,36 @@ def find_lights(
     return found
 
 
+def find_light(name: str, channel_names: Iterable[str]) -> tuple[str, ...]:
+    """Channels of the layer that a user names for light; it need not be known to be light.
+
+    Parameters
+    ----------
+    name
+        Of the layer; without its view layer, where no other layer is called so.
+    channel_names
+        As for `find_layers`.
+
+    Raises
+    ------
+    InputError
+        No layer of three colours is called so, or several are: the message lists them.
+    """
+    names = list(dict.fromkeys(channel_names))
+    found = _layers_named("color", name, names)
+    if len(found) == 1:
+        return next(iter(found.values()))
+    if found:
+        raise InputError(f"aovs must name one layer each, got {name}: of {', '.join(found)}")
+    colors = [
+        layer for layer in _layers_of(names) if layer and _layers_named("color", layer, names)
+    ]
+    raise InputError(
+        f"aovs must name layers of three colours, got {name}; the file has "
+        f"{', '.join(colors) or 'none'}"
+    )
+
+
 def color_of_light(light: str) -> str | None:
     """The layer of the colour that a layer of light is without; None if it is with its colour."""
     prefix, name = _split_prefix(light)
@@ -218,19 +252,24 @@ def find_alone(
 def parse_overrides(texts: Iterable[str]) -> dict[str, str]:
     """Layers that a user names, from texts as ``albedo=diffuse_filter``.
 
-    After the sign of equality stands a layer's name, or channels with commas between them, as
-    ``depth=Z`` and ``motion=vel.R,-vel.G``: a minus turns an axis of motion, and motion that is
-    named by channels is taken in pixels and in `Frame`'s convention. ``none`` leaves the role out.
+    After the sign of equality stands a layer's name, which may leave out its view layer where no
+    other layer is called so; or channels with commas between them, as ``depth=Z`` and
+    ``motion=vel.R,-vel.G``: a minus turns an axis of motion, and motion that is named by channels
+    is taken in pixels and in `Frame`'s convention. ``none`` leaves the role out; ``jitter=none``
+    an attribute, see `stillray.io.exr.jitter`.
 
     Raises
     ------
     InputError
-        A text has no sign of equality or an unknown role, or a role comes twice.
+        A text has no sign of equality or an unknown role, or a role comes twice; or it names a
+        layer for jitter.
     """
     chosen: dict[str, str] = {}
     for text in texts:
         role, equals, name = text.partition("=")
-        if not equals or role not in ROLES or not name:
+        if role == JITTER and name != "none":
+            raise InputError(f"layer jitter must be none, since no layer holds it, got {text}")
+        if not equals or role not in (*ROLES, JITTER) or not name:
             raise InputError(
                 f"layer must be ROLE=NAME with a role of {', '.join(ROLES)}, got {text}"
             )
@@ -348,18 +387,38 @@ def _chosen_match(role: str, name: str, names: list[str]) -> list[LayerMatch]:
             raise InputError(f"layer {role} must be named without a minus, got {name}")
         convention = MotionConvention((signs[0], signs[1])) if role == "motion" else None
         return [_as_chosen(role, tuple(plain), convention)]
-    parts = _layers_of(names).get(name, set())
-    for alternative in renderer_table().components[role]:
-        if parts.issuperset(alternative):
-            convention = _convention_of(name) if role == "motion" else None
-            match = _as_chosen(role, _channels_of(name, alternative), convention)
-            if role == "motion" and not _is_proven(name):
-                match = replace(match, used=False, note=_UNPROVEN)
-            return [match]
+    found = _layers_named(role, name, names)
+    if len(found) > 1:
+        raise InputError(f"layer {role}={name}: must name one layer, of {', '.join(found)}")
+    for layer, channels in found.items():
+        convention = _convention_of(layer) if role == "motion" else None
+        match = _as_chosen(role, channels, convention)
+        if role == "motion" and not _is_proven(layer):
+            match = replace(match, used=False, note=_UNPROVEN)
+        return [match]
     raise InputError(
         f"layer {role}={name}: must name a layer of the file or {_COUNTS[role]} of its channels, "
         f"which are {', '.join(names)}"
     )
+
+
+def _layers_named(role: str, name: str, names: list[str]) -> dict[str, tuple[str, ...]]:
+    """Layers that a user may mean and that can hold a role, and their channels.
+
+    The one of that very name, else all that are called so after the name of a view layer: but for
+    the shortest, which are those of components, as Z is.
+    """
+    layers = _layers_of(names)
+    called = [name] if name in layers else []
+    if not called and len(name) >= _SHORTEST_LOOSE_NAME:
+        called = [layer for layer in layers if layer.endswith(f".{name}")]
+    found = {}
+    for layer in called:
+        for alternative in renderer_table().components[role]:
+            if layers[layer].issuperset(alternative):
+                found[layer] = _channels_of(layer, alternative)
+                break
+    return found
 
 
 def _as_chosen(

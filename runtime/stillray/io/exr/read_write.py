@@ -23,12 +23,13 @@ from stillray.io.channels.roles import (
     color_of_light,
     find_alone,
     find_layers,
+    find_light,
     find_lights,
     gather,
 )
 from stillray.io.exr.container import Window
 from stillray.io.exr.file import Channels, ExrFile
-from stillray.io.exr.jitter import find_jitter
+from stillray.io.exr.jitter import JITTER_ATTRIBUTE, find_jitter
 from stillray.io.exr.openimageio import checked_container, opened, openimageio, reason
 from stillray.io.exr.pixel_filter import find_filter
 from stillray.io.exr.rewrite import rewrite, unkept
@@ -41,6 +42,7 @@ __all__ = [
     "ExrFile",
     "atomic_path",
     "check_layer",
+    "colors_beside",
     "expected_changes",
     "read_channels",
     "read_exr",
@@ -93,7 +95,7 @@ def read_exr(
     layers
         Role to the layer or channels to take for it, as
         `stillray.io.channels.roles.parse_overrides` gives; and, of a file with several views,
-        ``"view"`` to the name of the one to take.
+        ``"view"`` to the name of the one to take. ``"jitter"`` to ``"none"`` reads no jitter.
     convention
         What the file's motion means, where its layer alone does not tell: from
         `stillray.io.channels.motion_detection.detect_motion`.
@@ -111,7 +113,7 @@ def read_exr(
     ------
     InputError
         A file cannot be read completely, lacks its buffer, or differs in size; a channel of
-        samples holds what no count can be.
+        samples holds what no count can be, or an attribute what no jitter can.
     """
     file = ExrFile.of_layers(path, layers)
     given = {role: Path(companion) for role, companion in (companions or {}).items()}
@@ -146,7 +148,7 @@ def read_exr(
             raise InputError(f"{file.path}: {error}; samples=none leaves the layer out") from None
     else:
         buffers["samples"] = source.number if samples is None else samples
-    buffers["jitter"] = find_jitter(file)
+    buffers["jitter"] = find_jitter(file, layers)
     buffers["filter_spread"] = find_filter(file, first).spread
     return Frame(**buffers)
 
@@ -182,30 +184,56 @@ def read_lights(
     path
         An OpenEXR file.
     names
-        Which layers, as they are called in the file; all that are known to be light if empty.
+        Which layers, as they are called in the file, with or without their view layer; all that
+        are known to be light if empty.
     layers
         As for `read_exr`.
 
     Returns
     -------
     dict of str to (h, w, 3) float32
-        By name, in the data window of the color. Beside lights without the colour of surfaces
+        By whole name, in the data window of the color. Beside lights without the colour of surfaces
         stand the layers of that colour, where the file has them.
 
     Raises
     ------
     InputError
-        The file cannot be read, or has no such layer.
+        The file cannot be read, or has no such layer, or several without their view layers.
     """
     file = ExrFile.of_layers(path, layers)
     color = _color_and_more(file, layers)[0]
-    channels = _with_colors(file, _lights(file, names, layers))
+    channels = _with_colors(file, _by_whole_name(_lights(file, names, layers)))
     wanted = dict.fromkeys(name for listed in channels.values() for name in listed)
     planes = file.read(wanted, file.window(color.channels[0]))
     return {
         name: np.stack([planes[channel] for channel in listed], axis=-1)
         for name, listed in channels.items()
     }
+
+
+def colors_beside(
+    path: str | os.PathLike[str],
+    names: Sequence[str] = (),
+    *,
+    layers: Mapping[str, str] | None = None,
+) -> list[str]:
+    """Layers of the colour of surfaces that `read_lights` gives beside the lights of those names.
+
+    So `write_exr` writes them anew where it is given what became of the lights. Reads headers only.
+
+    Parameters
+    ----------
+    path, names, layers
+        As for `read_lights`.
+
+    Raises
+    ------
+    InputError
+        As `read_lights`.
+    """
+    file = ExrFile.of_layers(path, layers, headers_only=True)
+    lights = _by_whole_name(_lights(file, names, layers))
+    return [name for name in _with_colors(file, lights) if name not in lights]
 
 
 def require_color(path: Path, matches: list[LayerMatch], names: Iterable[str]) -> list[LayerMatch]:
@@ -293,7 +321,7 @@ def write_exr(
     like: str | os.PathLike[str] | None = None,
     layers: Mapping[str, str] | None = None,
     lights: Mapping[str, np.ndarray] | None = None,
-    attributes: Mapping[str, str] | None = None,
+    attributes: Mapping[str, str | None] | None = None,
 ) -> int:
     """Write a denoised picture, complete or not at all.
 
@@ -310,20 +338,22 @@ def write_exr(
     image : (h, w, 3) float
         Scene-linear radiance, premultiplied if the source's color was.
     like
-        The source file. Where the picture has not its size, only metadata are kept; and the
-        windows, enlarged, where it is a whole number of times as wide and high.
+        The source file. Where the picture has not its size, only metadata are kept, but for the
+        jitter, which is of other pixels; and the windows, enlarged, where it is a whole number of
+        times as wide and high.
     layers
         As it was read with, see `read_exr`.
     lights
         Filtered layers by name, from `read_lights`, which replace those of the source.
     attributes
-        Further attributes, such as where the picture comes from: ``{"stillray:model": "kpyr-5"}``.
-        ``stillray:version`` is always written.
+        Further attributes, such as where the picture comes from: ``{"stillray:model": "kpyr-5"}``;
+        None leaves out the source's. ``stillray:version`` is always written.
 
     Returns
     -------
     int
-        How many values were beyond what half precision holds (65504) and were clamped to it.
+        How many values were beyond what half precision holds (65504) and were clamped to it,
+        where the source's color, or without a source the picture, is of half precision.
 
     Raises
     ------
@@ -338,7 +368,7 @@ def write_exr(
             with atomic_path(Path(path)) as temporary:
                 tags = {**_VERSION, **(attributes or {})}
                 return rewrite(source.path, source.container, temporary, replaced, tags)
-    return write_color(path, image, like=like, attributes=attributes)
+    return write_color(path, image, like=like, layers=layers, attributes=attributes)
 
 
 def write_color(
@@ -346,16 +376,20 @@ def write_color(
     image: np.ndarray,
     *,
     like: str | os.PathLike[str] | None = None,
-    attributes: Mapping[str, str] | None = None,
+    layers: Mapping[str, str] | None = None,
+    attributes: Mapping[str, str | None] | None = None,
+    kind: str | None = None,
 ) -> int:
-    """Write R, G, B in half precision, complete or not at all.
+    """Write R, G, B and nothing else, complete or not at all.
 
     Parameters
     ----------
-    path, image, attributes
+    path, image, layers, attributes
         As for `write_exr`.
     like
-        A file whose metadata and, where the picture has its size, windows are taken.
+        A file whose metadata, type of color and, where the picture has its size, windows are taken.
+    kind
+        ``"half"`` or ``"float"``, whatever the source's color is; without either, half.
 
     Returns
     -------
@@ -368,8 +402,28 @@ def write_color(
         As `write_exr`.
     """
     image = _checked(image)
-    channels = {name: image[..., i] for i, name in enumerate("RGB")}
-    return write_channels(path, channels, like=like, attributes={**_VERSION, **(attributes or {})})
+    if kind is None:
+        kind = "half" if like is None else _kind_of_color(like, layers)
+    return write_channels(
+        path,
+        {name: image[..., i] for i, name in enumerate("RGB")},
+        formats=dict.fromkeys("RGB", kind),
+        like=like,
+        attributes={**_VERSION, **(attributes or {})},
+    )
+
+
+def _kind_of_color(path: str | os.PathLike[str], layers: Mapping[str, str] | None) -> str:
+    """The type that holds what a file's color holds: ``"half"`` or ``"float"``."""
+    file = ExrFile.of_layers(path, layers, headers_only=True)
+    wanted = [file.channels[name] for name in _color_and_more(file, layers)[0].writes]
+    kinds = {
+        channel.kind
+        for number, name in wanted
+        for channel in file.container.parts[number].channels
+        if channel.name == name
+    }
+    return "half" if kinds == {"half"} else "float"
 
 
 def _checked(image: np.ndarray) -> np.ndarray:
@@ -405,7 +459,7 @@ def write_views(
     views: Sequence[CleanView],
     *,
     like: str | os.PathLike[str],
-    attributes: Mapping[str, str] | None = None,
+    attributes: Mapping[str, str | None] | None = None,
 ) -> int:
     """Write the denoised pictures of several views into one file, complete or not at all.
 
@@ -465,16 +519,19 @@ def _write_enlarged(
     path: Path,
     views: Sequence[CleanView],
     like: str | os.PathLike[str],
-    tags: Mapping[str, str],
+    tags: Mapping[str, str | None],
 ) -> int:
     """The colors of all views in one part; how many values were clamped."""
     names = [(view.layers or {})[VIEW] for view in views]
     channels: dict[str, np.ndarray] = {}
+    formats: dict[str, str] = {}
     for name, view in zip(names, views, strict=True):
         prefix = "" if name == names[0] else f"{name}."  # the first view's carry none
-        image = _checked(view.image)
+        image, kind = _checked(view.image), _kind_of_color(like, view.layers)
         channels |= {f"{prefix}{c}": image[..., i] for i, c in enumerate("RGB")}
-    return write_channels(path, channels, like=like, attributes={**tags, _VIEWS: names})
+        formats |= {f"{prefix}{c}": kind for c in "RGB"}
+    attributes = {**tags, _VIEWS: names}
+    return write_channels(path, channels, formats=formats, like=like, attributes=attributes)
 
 
 def _replaced(source: ExrFile, view: CleanView) -> dict[tuple[int, str], np.ndarray]:
@@ -531,7 +588,8 @@ def write_channels(
         A source file whose metadata are kept, and its data window and display window: where the
         planes are some times its size, enlarged by that.
     attributes
-        Further metadata: name to str, int, float or list of str.
+        Further metadata: name to str, int, float or list of str; None leaves out what the source
+        has.
     compression
         An OpenEXR compression name, ``"zip"`` (lossless) unless told otherwise.
 
@@ -564,13 +622,16 @@ def write_channels(
             stored = attribute.name in _STORAGE_NAMES
             # a source's views may have been parts, which say so otherwise
             stored = stored or (_VIEWS in (attributes or {}) and attribute.name in _VIEW_NAMES)
-            if not stored and not attribute.name.startswith(_STORAGE_PREFIXES):
+            moved = attribute.name == JITTER_ATTRIBUTE and times != 1  # samples are elsewhere now
+            if not stored and not moved and not attribute.name.startswith(_STORAGE_PREFIXES):
                 spec.attribute(attribute.name, attribute.type, attribute.value)
     spec.channelnames = tuple(channels)
     spec.channelformats = tuple(oiio.TypeDesc(kind) for kind in kinds)
     spec.attribute("compression", compression)
     for name, value in (attributes or {}).items():
-        if isinstance(value, list):
+        if value is None:
+            spec.erase_attribute(name)
+        elif isinstance(value, list):
             spec.attribute(name, oiio.TypeDesc(f"string[{len(value)}]"), tuple(value))
         else:
             spec.attribute(name, value)
@@ -620,9 +681,14 @@ def _lights(
     for name in names:
         if name not in known:
             # named by a user, it need not be known to be light
-            known[name] = find_layers(file.channels, {"color": name})[0].channels
+            known[name] = find_light(name, file.channels)
         found[name] = known[name]
     return found
+
+
+def _by_whole_name(lights: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
+    """The same, since the colour of a light that is named without its view layer is of that too."""
+    return {channels[0].rpartition(".")[0]: channels for channels in lights.values()}
 
 
 def _with_colors(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import errno
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -43,7 +43,7 @@ def rewrite(
     container: Container,
     target: Path,
     replaced: Mapping[tuple[int, str], np.ndarray],
-    provenance: Mapping[str, str],
+    provenance: Mapping[str, str | None],
 ) -> int:
     """Write a copy of a file with some channels replaced.
 
@@ -57,7 +57,8 @@ def rewrite(
         Number of the part and name of the channel to ``(height, width)`` float planes of the
         part's data window.
     provenance
-        String attributes, added to the first part and to each that has changed.
+        String attributes, added to the first part and to each that has changed; None takes away
+        what any part has under that name.
 
     Returns
     -------
@@ -79,7 +80,8 @@ def rewrite(
         number: [chunk for chunk in container.chunks if chunk.part == number]
         for number in range(len(parts))
     }
-    added = tuple(string_attribute(name, text) for name, text in provenance.items())
+    added = tuple(string_attribute(n, text) for n, text in provenance.items() if text is not None)
+    dropped = {name for name, text in provenance.items() if text is None}
     try:
         for number in changed:
             part = parts[number]
@@ -97,6 +99,7 @@ def rewrite(
             clamped += beyond
         for number in {0, *changed}:
             parts[number] = _with_attributes(parts[number], added)
+        parts = [_without_attributes(part, dropped) for part in parts]
         with target.open("wb") as sink:
             _assemble(sink, source, container, parts, chunks, encoded)
     finally:
@@ -246,6 +249,10 @@ def _in_line_order(part: Part, fresh: Container) -> list[Chunk]:
 def _with_attributes(part: Part, added: Sequence[Attribute]) -> Part:
     attributes = {attribute.name: attribute for attribute in (*part.attributes, *added)}
     return replace(part, attributes=tuple(attributes.values()))
+
+
+def _without_attributes(part: Part, names: Collection[str]) -> Part:
+    return replace(part, attributes=tuple(a for a in part.attributes if a.name not in names))
 
 
 def _assemble(
