@@ -58,7 +58,9 @@ from stillray_training.targets import read_filter
 OPERATORS = ("Add", "Clip", "Concat", "Conv", "MaxPool", "Mul", "Relu", "Resize", "Slice")
 
 
-def quantized(model: Path, features: Sequence[np.ndarray]) -> onnx.ModelProto:
+def quantized(
+    model: Path, features: Sequence[np.ndarray], *, shift_biases: bool = True
+) -> onnx.ModelProto:
     """A network in integers, whose sums of products no processor overflows.
 
     Parameters
@@ -68,6 +70,9 @@ def quantized(model: Path, features: Sequence[np.ndarray]) -> onnx.ModelProto:
     features : (1, features, h, w) float32 each
         What it is to be given: scales and biases fit to what it makes of these, of their upper
         left in the size of the smallest.
+    shift_biases
+        Whether biases take back what rounded weights shift in the mean of these frames. In frames
+        of little noise it is another shift: networks of stills are worse for it there.
     """
     # ONNX Runtime's calibration stacks what a layer gives
     height, width = np.min([planes.shape[2:] for planes in features], axis=0)
@@ -98,7 +103,8 @@ def quantized(model: Path, features: Sequence[np.ndarray]) -> onnx.ModelProto:
         # one way to hold numbers, which the runtime reads
         tensor.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(tensor), tensor.name))
     del found.graph.value_info[:]
-    correct_biases(floats, found, features)
+    if shift_biases:
+        correct_biases(floats, found, features)
     take_pixels(found.graph)
     told = {entry.key: entry.value for entry in floats.metadata_props}
     del found.metadata_props[:]
@@ -217,6 +223,10 @@ def main(
     most: Annotated[
         int, typer.Option(min=1, help="Sequences of each folder of data at most.")
     ] = 24,
+    shift_biases: Annotated[
+        bool,
+        typer.Option(help="Let biases take back what rounding shifts in the mean of the frames."),
+    ] = True,
 ) -> None:
     """Write the network of a model in integers of 8 bits beside it."""
     info = find_model(model)
@@ -225,7 +235,7 @@ def main(
         sequences = sequences_in([folder])
         for number, sequence in enumerate(sequences[:: -(-len(sequences) // most)]):
             features += features_of(info, sequence, number)
-    network = quantized(info.path, features)
+    network = quantized(info.path, features, shift_biases=shift_biases)
     # both are made before either takes the place of what is there
     pixels, pairs = (_arranged(network, info, pairs=pairs) for pairs in (False, True))
     assert pixels is not None

@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
+onnx = pytest.importorskip("onnx")
+
+from onnx import numpy_helper  # noqa: E402
 
 from stillray.arrays.workspace import Workspace  # noqa: E402
 from stillray.models.precision import chosen, int8_path  # noqa: E402
@@ -50,6 +53,27 @@ def test_frames_of_several_sizes_give_the_network_that_their_common_part_gives(r
     part = planes[..., :32, :48]
     mixed, alike = (quantized(model.path, given) for given in ([part, planes], [part, part]))
     assert mixed.SerializeToString() == alike.SerializeToString()
+
+
+def test_biases_are_those_of_floats_unless_they_take_back_what_rounding_shifts(rng):
+    model = find_model("wskp-3s")
+    features = [rng.random((1, len(model.spec.network.features), 32, 48), np.float32)]
+    given = arrays(onnx.load(model.path))
+    kept = arrays(quantized(model.path, features, shift_biases=False))
+    shifted = arrays(quantized(model.path, features))
+    biases = [name for name in given if name.endswith(".bias")]
+    moved = 0
+    for name in biases:
+        step = kept[f"{name}_quantized_scale"]
+        whole = np.abs(kept[f"{name}_quantized"] * step - given[name])
+        assert (whole <= 0.51 * step).all()
+        moved += np.abs(shifted[f"{name}_quantized"] - kept[f"{name}_quantized"]).sum()
+    assert biases
+    assert moved > 0
+
+
+def arrays(network: onnx.ModelProto) -> dict[str, np.ndarray]:
+    return {tensor.name: numpy_helper.to_array(tensor) for tensor in network.graph.initializer}
 
 
 def test_scales_are_of_first_second_and_last_frames_and_of_one_between():

@@ -16,6 +16,7 @@ from stillray.arrays.tiles import tiles_of
 from stillray.frame import Frame
 from stillray.models import network
 from stillray.pipeline import denoiser as pipeline
+from stillray.pipeline import plan
 from stillray.profiling.synthetic import swing
 from stillray_training.cancel_latency import UNLISTED, gaps, stream
 from tests.conftest import make_frame
@@ -123,9 +124,9 @@ def test_a_frame_that_is_done_can_still_be_unwanted(what, monkeypatch):
     change = with_alpha if what == "alpha" else lambda frame: frame
     if what == "tiles":
         monkeypatch.setattr(
-            pipeline,
+            plan,
             "plan_tiles",
-            lambda shape, traits, *_: tiles_of(
+            lambda shape, channels, traits, *_: tiles_of(
                 shape, 48, traits.tile_overlap, traits.tile_alignment
             ),
         )

@@ -75,9 +75,11 @@ def test_a_packaged_model_starts_one_with_more_blocks_and_filters():
     wanted, *others = first(features)
     torch.testing.assert_close(finest[:, : wanted.shape[1]], wanted)
     torch.testing.assert_close(coarser, others)
-    # to the new filter neighbours count little, everywhere alike
-    new = torch.tensor([0.0, 3.0])[:, None, None].expand_as(finest[0, -2:])
-    assert torch.equal(finest[0, wanted.shape[1] :], new)
+    # the new filter takes what the next, 4 apart, does, and less of it
+    names = logit_names(0, deeper.resolutions, known)
+    at = [names.index(f"filters: 4 {who}") for who in ("others", "itself")]
+    like = wanted[:, at] + torch.tensor([0.0, 2.0])[None, :, None, None]
+    torch.testing.assert_close(finest[:, wanted.shape[1] :], like)
 
 
 @pytest.mark.parametrize(("name", "pixels"), [("kpyr-5", 1), ("kpyr-5s", 4)])

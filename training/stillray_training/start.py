@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from stillray.models.registry import ModelInfo, find_model
 from stillray_training.families import network_of
 from stillray_training.networks.repvgg import RepVGGBlock
 
+_FURTHER_OUT = 2.0  # what a new filter's logit of the pixel itself is above that of its model
 STARTED_FROM = "started_from.json"  # beside a checkpoint: the model whose weights were taken over
 
 
@@ -164,10 +166,11 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
     source
         See `read_start`. A model of the same family and widths; it may have read other features,
         which are matched by name (those that it did not read begin with weights of 0), have given
-        other logits (those of a kernel pyramid are matched by what they are for, of other families
-        new ones are appended), fewer blocks of a width that an identity spans (new ones begin as
-        that identity), and fewer layers in its dense block (what new ones add begins with weights
-        of 0). Where the first block has an identity, features stay in their places.
+        other logits (those of a kernel pyramid are matched by what they are for, those of a filter
+        that is new begin near those of the next, of other families new ones are appended), fewer
+        blocks of a width that an identity spans (new ones begin as that identity), and fewer layers
+        in its dense block (what new ones add begins with weights of 0). Where the first block has
+        an identity, features stay in their places.
     network, spec
         What is to be trained.
 
@@ -196,8 +199,12 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
         head = name.rpartition(".")[0]
         if head in heads and head in start.planes and value.shape[1:] == target.shape[1:]:
             ours, theirs = heads[head], start.planes[head]
-            for use in set(ours) & set(theirs):
-                target[ours.index(use)] = value[theirs.index(use)]
+            for use in ours:
+                like, more = (use, 0.0) if use in theirs else _filter_like(use, theirs)
+                if like is not None:
+                    target[ours.index(use)] = value[theirs.index(like)]
+                    if value.ndim == 1:  # a bias
+                        target[ours.index(use)] += more
             continue
         fits = len(value) <= len(target)
         if fits and reads_features and name.startswith(reads_features) and value.ndim == 4:
@@ -225,6 +232,20 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
                     state[part].zero_()
     network.load_state_dict(state)
     return start.origin
+
+
+def _filter_like(use: str, known: list[str]) -> tuple[str | None, float]:
+    """The known filter that is nearest to a new one, and what is added to the new one's bias.
+
+    A pass further out looks for what looks alike as the next one does, and takes less of it.
+    """
+    asked = re.fullmatch(r"filters: (\d+) (.+)", use)
+    if asked is None:
+        return None, 0.0
+    far, who = int(asked[1]), asked[2]
+    others = [other for other in known if re.fullmatch(rf"filters: \d+ {who}", other)]
+    nearest = min(others, key=lambda other: abs(int(other.split()[1]) - far), default=None)
+    return nearest, _FURTHER_OUT if who.startswith("itself") else 0.0
 
 
 def _matches_features(network: nn.Module, reads_features: str) -> bool:
