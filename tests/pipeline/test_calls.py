@@ -340,6 +340,19 @@ def test_alpha_is_kept_or_filtered():
 
 
 @pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("model", ["fast", "high", "wskp-3"])
+def test_an_even_alpha_stays_even_whatever_the_light_does(model):
+    """No outlier of the light darkens it, and no edge of the light sharpens it."""
+    frames = [
+        replace(frame, alpha=np.full(SHAPE, 0.5, np.float32))
+        for frame in swing(*SHAPE)  # with a moving camera, and noise
+    ]
+    with stillray.Denoiser(model, threads=1) as denoiser:
+        for frame in frames:
+            alpha = denoiser.denoise(frame, denoise_alpha=True)[..., 3]
+            np.testing.assert_allclose(alpha, 0.5, atol=1e-5)
+
+
 @pytest.mark.parametrize("filtered", [False, True])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_broken_alpha_comes_from_its_neighbours_as_broken_color_does(value, filtered):

@@ -158,13 +158,14 @@ class Layer:
         Of any sign; not finite counts as 0.
     irradiance
         Whether it is without the colour of surfaces: it is not divided by it.
-    shaded
-        Whether it is light, which relief shades; alpha is none.
+    is_light
+        Whether outliers darken it, edges of the picture sharpen it and relief shades it, as they do
+        the color; alpha is none.
     """
 
     radiance: np.ndarray
     irradiance: bool = False
-    shaded: bool = True
+    is_light: bool = True
 
 
 class LayerFilter(Protocol):

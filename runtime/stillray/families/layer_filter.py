@@ -112,23 +112,23 @@ class FilteredLayers:
         prepared, past = self._prepared, self._plan.moved
         albedo = None if layer.irradiance else prepared.demodulation_albedo
         accumulated = None if past is None else self._accumulated
-        new, mean = self._demodulated(layer.radiance, albedo, alone=accumulated is None)
+        new, mean = self._demodulated(layer, albedo, alone=accumulated is None)
         sample: np.ndarray | None = None
         if accumulated is not None and past is not None:
-            mean = accumulated(past.layers[name].mean, new[:3])
+            mean = accumulated(past.layers[name].mean, new[:3], layer.is_light)
             sample = new
         assert mean is not None
         own = Filterable(
             mean=mean,
             sample=sample,
             remodulation_albedo=None if layer.irradiance else prepared.remodulation_albedo,
-            previous=self._previous(name),
+            previous=self._previous(name, sharp=layer.is_light),
             filter_sharpness=filter_sharpness(prepared.filter_spread),
         )
         image = mean_picture(
             self._kernels.reconstruct(own, outputs, self._strips, {}) for outputs in self._frozen
         )
-        if self._shading.gain is not None and layer.shaded:
+        if self._shading.gain is not None and layer.is_light:
             gain, strips = self._shading.gain, self._strips
 
             def shade(rows: slice) -> None:
@@ -147,12 +147,14 @@ class FilteredLayers:
         return image
 
     def _demodulated(
-        self, radiance: np.ndarray, albedo: np.ndarray | None, *, alone: bool
+        self, layer: Layer, albedo: np.ndarray | None, *, alone: bool
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """A layer's irradiance as the color's was weighed.
 
         Parameters
         ----------
+        layer, albedo
+            The layer, and what it is divided by.
         alone
             Whether there is no past.
 
@@ -163,7 +165,8 @@ class FilteredLayers:
         mean : (h, w, 4) float32 or None
             The same with what they weigh beside the past, if it is all there is.
         """
-        light, factor = self._repaired(radiance), self._factor
+        light = self._repaired(layer.radiance)
+        factor = self._factor if layer.is_light else np.ones(light.shape[:2], np.float32)
         weights, weight, shape = self._sample[3], self._weight, light.shape[:2]
         new = np.empty((4, *shape), np.float32)
         mean = np.empty((*shape, 4), np.float32) if alone else None
@@ -190,16 +193,18 @@ class FilteredLayers:
         self._strips.run(work, *radiance.shape[:2])
         return light if broken is None else fill(light, ~broken, self._strips)
 
-    def _previous(self, name: str) -> np.ndarray | None:
+    def _previous(self, name: str, *, sharp: bool) -> np.ndarray | None:
         past = self._plan.moved
         if past is None or self._follow is None:
             return None
-        output = past.layers[name].output
+        output, strips = past.layers[name].output, self._strips
         if output is None:
             return None
-        return previous_output.forget_uncovered(
-            self._follow(output), output, self._prepared, self._strips
-        )
+        if sharp:
+            here = self._follow(output)
+        else:
+            here = previous_output.resample(output, self._prepared.picture_positions, strips)
+        return previous_output.forget_uncovered(here, output, self._prepared, strips)
 
     @cached_property
     def _sample(self) -> np.ndarray:
@@ -260,10 +265,10 @@ class FilteredLayers:
         )
 
     @cached_property
-    def _accumulated(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray] | None:
+    def _accumulated(self) -> Callable[[np.ndarray, np.ndarray, bool], np.ndarray] | None:
         """From a layer's past ``(h, w, 4)`` and its light ``(3, h, w)`` to its mean as the past's.
 
-        None without a past.
+        And whether it is sharpened as the color is. None without a past.
         """
         past, prepared, strips = self._plan.moved, self._prepared, self._strips
         if past is None or prepared.motion is None:
@@ -279,8 +284,9 @@ class FilteredLayers:
             if before is not None and now is not None:
                 mask = discontinuities(before, strips, Workspace())
 
-        def accumulated(mean: np.ndarray, light: np.ndarray) -> np.ndarray:
-            result, previous = np.empty_like(mean), rep.PreviousFrame(mean, before, mask, edges)
+        def accumulated(mean: np.ndarray, light: np.ndarray, sharp: bool) -> np.ndarray:
+            result = np.empty_like(mean)
+            previous = rep.PreviousFrame(mean, before, mask, edges if sharp else None)
 
             def work(rows: slice) -> None:
                 workspace = strips.workspace

@@ -423,7 +423,7 @@ def _grey(alpha: np.ndarray, strips: Strips) -> Layer:
         layer[rows] = np.clip(alpha[rows], 0, 1)[..., None]
 
     strips.run(work, *layer.shape[:2])
-    return Layer(radiance=layer, irradiance=True, shaded=False)
+    return Layer(radiance=layer, irradiance=True, is_light=False)
 
 
 def _require_frame(frame: object) -> None:
