@@ -199,12 +199,12 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
         head = name.rpartition(".")[0]
         if head in heads and head in start.planes and value.shape[1:] == target.shape[1:]:
             ours, theirs = heads[head], start.planes[head]
-            for use in ours:
+            for plane, use in zip(target, ours, strict=True):
                 like, more = (use, 0.0) if use in theirs else _filter_like(use, theirs)
                 if like is not None:
-                    target[ours.index(use)] = value[theirs.index(like)]
+                    plane.copy_(value[theirs.index(like)])
                     if value.ndim == 1:  # a bias
-                        target[ours.index(use)] += more
+                        plane += more
             continue
         fits = len(value) <= len(target)
         if fits and reads_features and name.startswith(reads_features) and value.ndim == 4:

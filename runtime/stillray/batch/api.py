@@ -379,7 +379,7 @@ def plan_run(
     )
     _check_outputs(jobs, layout, resume=options.resume)
     chosen, family = _opened(model, options, alone=not temporal or len(jobs) == 1)
-    layout = replace(layout, sees_jitter=family.traits.sees_jitter)
+    layout = replace(layout, knows_jitter=chosen.spec.knows_jitter)
     memory, cuts = _memory(family, options, len(jobs)), options.cuts and temporal
     precision = _precision(chosen, options)
     recipe = _recipe(chosen, precision, layout, options)

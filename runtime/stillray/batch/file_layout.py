@@ -75,8 +75,8 @@ class Layout:
     views
         Names of the views, all of which are denoised; empty for one picture, or where ``layers``
         choose a view.
-    sees_jitter
-        Whether the model looks at the frames' jitter, see `stillray.families.contract.Traits`.
+    knows_jitter
+        Whether the model looks at the frames' jitter, see `stillray.model_spec.ModelSpec`.
         What a model does not look at stands in the files as it stood, whatever it is.
     """
 
@@ -86,7 +86,7 @@ class Layout:
     detection: Detection | None = None
     told: Told = Told()
     views: tuple[str, ...] = ()
-    sees_jitter: bool = True
+    knows_jitter: bool = True
 
     @classmethod
     def of(
@@ -166,7 +166,7 @@ class Layout:
             frame = read_frame(
                 path,
                 companions,
-                layers=layers if self.sees_jitter else {**layers, JITTER: "none"},
+                layers=layers if self.knows_jitter else {**layers, JITTER: "none"},
                 convention=convention,
                 before=before,
                 samples=self.told.samples,
@@ -244,7 +244,7 @@ class Layout:
             What is told of it in an EXR file.
         """
         told: dict[str, str | None] = dict(attributes or {})
-        if self.sees_jitter:
+        if self.knows_jitter:
             told[JITTER_ATTRIBUTE] = None  # of the source's samples, not of this picture's
         if self.views:
             clean = [

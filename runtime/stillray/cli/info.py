@@ -171,8 +171,7 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
     frame = replace(frame, jitter=jitter)
     part = opened.container.parts[opened.channels[matches[0].channels[0]][0]]
     spec, stages = _stages(frame, model)
-    told = _told_jitter(spec)
-    if wrong and told:
+    if wrong and spec.knows_jitter:
         raise InputError(wrong)
     return {
         "file": str(path),
@@ -197,7 +196,7 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
         | {"told": spec.knows_samples},
         "pixel_filter": _filter(find_filter(opened, matches[0].channels[0]))
         | {"told": spec.knows_filter},
-        "jitter": _jitter(jitter) | {"note": wrong, "told": told},
+        "jitter": _jitter(jitter) | {"note": wrong, "told": spec.knows_jitter},
         "color_pixels": _count_pixels(frame.color),
         "warnings": _warnings(frame.normal),
         **stages,
@@ -244,7 +243,7 @@ def _of_float_map(path: Path, model: str) -> dict[str, Any]:
         ],
         "samples": _samples(frame, SampleSource()) | {"told": spec.knows_samples},
         "pixel_filter": _filter(FilterSource()) | {"told": spec.knows_filter},
-        "jitter": _jitter(None) | {"note": "", "told": _told_jitter(spec)},
+        "jitter": _jitter(None) | {"note": "", "told": spec.knows_jitter},
         "color_pixels": _count_pixels(frame.color),
         "warnings": [],
         **stages,
@@ -320,10 +319,6 @@ def _find_jitter(opened: ExrFile, chosen: dict[str, str]) -> tuple[np.ndarray | 
         return find_jitter(opened, chosen), ""
     except InputError as error:
         return None, str(error)
-
-
-def _told_jitter(spec: ModelSpec) -> bool:
-    return "jitter" in (*spec.inputs.required, *spec.inputs.optional)
 
 
 def _jitter(jitter: np.ndarray | None) -> dict[str, float | None]:

@@ -55,11 +55,6 @@ class Traits:
     integers: bool = False
     views: int = 1
 
-    @property
-    def sees_jitter(self) -> bool:
-        """Whether jitter is looked at: pictures then lie at the centres of their pixels."""
-        return "jitter" in self.required | self.optional
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class State:

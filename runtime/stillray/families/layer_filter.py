@@ -166,14 +166,15 @@ class FilteredLayers:
             The same with what they weigh beside the past, if it is all there is.
         """
         light = self._repaired(layer.radiance)
-        factor = self._factor if layer.is_light else np.ones(light.shape[:2], np.float32)
+        factor = self._factor if layer.is_light else None
         weights, weight, shape = self._sample[3], self._weight, light.shape[:2]
         new = np.empty((4, *shape), np.float32)
         mean = np.empty((*shape, 4), np.float32) if alone else None
 
         def work(rows: slice) -> None:
             own = light[rows] if albedo is None else light[rows] / albedo[rows]
-            own = own * factor[rows, :, None]
+            if factor is not None:
+                own = own * factor[rows, :, None]
             planes_of(own, out=new[:3, rows])
             new[3, rows] = weights[rows]
             if mean is not None:
@@ -194,10 +195,10 @@ class FilteredLayers:
         return light if broken is None else fill(light, ~broken, self._strips)
 
     def _previous(self, name: str, *, sharp: bool) -> np.ndarray | None:
-        past = self._plan.moved
-        if past is None or self._follow is None:
+        past, strips = self._plan.moved, self._strips
+        if past is None or past.output is None:
             return None
-        output, strips = past.layers[name].output, self._strips
+        output = past.layers[name].output
         if output is None:
             return None
         if sharp:
@@ -254,12 +255,11 @@ class FilteredLayers:
         return factor
 
     @cached_property
-    def _follow(self) -> Callable[[np.ndarray], np.ndarray] | None:
-        """How the previous outputs of layers are brought to these pixels."""
-        past = self._plan.moved
-        if past is None or past.output is None:
-            return None
-        positions = self._prepared.picture_positions
+    def _follow(self) -> Callable[[np.ndarray], np.ndarray]:
+        """How the previous outputs of layers of light are brought to these pixels."""
+        past, positions = self._plan.moved, self._prepared.picture_positions
+        assert past is not None
+        assert past.output is not None
         return previous_output.layer_resampler(
             past.output, positions, self._strips, sharp=self._kernels.sharp
         )
@@ -276,17 +276,12 @@ class FilteredLayers:
         motion, before, now = prepared.motion, past.surface_guides, prepared.history.surface_guides
         weight, options = self._weight, self._kernels.spec.temporal
         mask: np.ndarray | None = None
-        edges: rep.Edges | None = None
-        if motion.any():
-            # of the color's output: layers add up only if they are sharpened as it is. `_follow`
-            # makes the light of the same output, so that what lies in the workspace stays.
-            edges = rep.Edges.of(past.output, options.sharp_contrast, strips)
-            if before is not None and now is not None:
-                mask = discontinuities(before, strips, Workspace())
+        if motion.any() and before is not None and now is not None:
+            mask = discontinuities(before, strips, Workspace())
 
         def accumulated(mean: np.ndarray, light: np.ndarray, sharp: bool) -> np.ndarray:
             result = np.empty_like(mean)
-            previous = rep.PreviousFrame(mean, before, mask, edges if sharp else None)
+            previous = rep.PreviousFrame(mean, before, mask, self._edges if sharp else None)
 
             def work(rows: slice) -> None:
                 workspace = strips.workspace
@@ -306,3 +301,14 @@ class FilteredLayers:
             return result
 
         return accumulated
+
+    @cached_property
+    def _edges(self) -> rep.Edges | None:
+        """Where layers of light are sharpened as the color's output is: else they do not add up.
+
+        `_follow` makes the light of the same output, so that what lies in the workspace stays.
+        """
+        past, motion = self._plan.moved, self._prepared.motion
+        if past is None or motion is None or not motion.any():
+            return None
+        return rep.Edges.of(past.output, self._kernels.spec.temporal.sharp_contrast, self._strips)

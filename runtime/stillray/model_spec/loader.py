@@ -601,6 +601,11 @@ class ModelSpec:
         """Whether its network or its resolve is told the renderer's pixel filter."""
         return PIXEL_FILTER in self.network.features or self.decoder.minds_filter
 
+    @property
+    def knows_jitter(self) -> bool:
+        """Whether jitter is looked at: pictures then lie at the centres of their pixels."""
+        return "jitter" in (*self.inputs.required, *self.inputs.optional)
+
     def __post_init__(self) -> None:
         if self.format != FORMAT:
             raise SpecError(f"format must be {FORMAT}, got {self.format}")
