@@ -238,9 +238,11 @@ def kernel_pyramid(
                     shares.append(own[8 * (place - len(distances)) + index, y, x])
             blended[y, x] = np.average(choices, axis=0, weights=shares)
         result = blended
+    shown = exposure * result @ [0.2126, 0.7152, 0.0722]
+    less = 1 / (1 + options.filter_tone * np.maximum(shown - 1, 0))
     for index, distance in enumerate(options.finest_filters):
         features = np.log(compared[: options.filter_features])
-        pair = compared[options.filter_features + 2 * index :][:2]
+        pair = compared[options.filter_features + 2 * index :][:2] * less
         result = _by_likeness(result, features, pair[0], pair[1], distance)
     radiance = result[:height, :width] * albedo
     resolved, tone = np.zeros_like(radiance), options.resolve_tone * exposure
@@ -375,6 +377,7 @@ def feature_filters(
     past: dict[str, np.ndarray],
     outputs: list[np.ndarray],
     rules: Rules,
+    exposure: float = 1.0,
 ) -> dict[str, np.ndarray]:
     """Kazmierczyk et al. 2025, section 3.4, pixel by pixel, as `stillray.families` does it.
 
@@ -413,6 +416,11 @@ def feature_filters(
     light = kept["light"][..., :3]
     planes = np.concatenate([light / by["albedo"], light / by["specular"], light], -1)
     shares = _softmax(maps[0][layout.partition])
+
+    def less(values: np.ndarray) -> np.ndarray:
+        above = np.maximum(exposure * values[..., 6:] @ [0.2126, 0.7152, 0.0722] - 1, 0)
+        return 1 / (1 + filters.filter_tone * above)
+
     result = None
     for level in reversed(range(1, levels)):
         own, side = level_layout(level, levels, filters), 1 << level
@@ -424,11 +432,11 @@ def feature_filters(
         if result is not None:
             pool = _mixed(pool, result, maps[level][own.coarser])
         for distance in filters.coarsest_filters if level == levels - 1 else (1,):
-            pool = _gaussian(pool, maps[level], own.denoise, distance)
+            pool = _gaussian(pool, maps[level], own.denoise, distance, less(pool))
         result = pool
     if result is not None:
         planes = _mixed(planes, result, maps[0][layout.coarser])
-    planes = _gaussian(planes, maps[0], layout.denoise)
+    planes = _gaussian(planes, maps[0], layout.denoise, 1, less(planes))
     plain, diffuse, glossy, alone = (
         share[..., None] for share in _softmax(maps[0][layout.compose])
     )
@@ -440,7 +448,11 @@ def feature_filters(
 
 
 def _gaussian(
-    values: np.ndarray, maps: np.ndarray, planes: GaussianPlanes, distance: int = 1
+    values: np.ndarray,
+    maps: np.ndarray,
+    planes: GaussianPlanes,
+    distance: int = 1,
+    less: np.ndarray | None = None,
 ) -> np.ndarray:
     height, width = values.shape[:2]
     features, importance = maps[planes.features], maps[planes.importance]
@@ -451,7 +463,7 @@ def _gaussian(
         for v, u in itertools.product(rows, columns):
             if 0 <= v < height and 0 <= u < width:
                 apart = min(((features[:, y, x] - features[:, v, u]) ** 2).sum(), 60.0)
-                weight = np.exp(importance[v, u] - apart)
+                weight = np.exp(importance[v, u] - apart) * (1 if less is None else less[v, u])
                 total += weight
                 result[y, x] += weight * values[v, u]
         result[y, x] /= total

@@ -43,6 +43,7 @@ from stillray_training.onnx_graph import (
 #: What the whole graph takes beside the features, and its planes; and what it gives.
 FRAME = {"color": 3, "albedo": 3, "specular": 3}
 PAST = {"past_light": 4, "past_albedo": 4, "past_specular": 4, "past_output": 4}
+EXPOSURE = "exposure"  # last of the inputs, one number: 1 / radiance
 RESULTS = ("image", "light", "albedo_mean", "specular_mean")
 
 
@@ -55,8 +56,11 @@ class WholeUpscale(nn.Module):
         self.rules = FeatureFiltersModel(spec).rules
 
     def forward(self, features: Tensor, *arrays: Tensor) -> tuple[Tensor, ...]:
-        """``(n, features, h, w)`` and the arrays of `FRAME` and `PAST`, to those of `RESULTS`."""
-        frame, past = twin.Enlarged(*arrays[:3]), twin.Remembered(*arrays[3:])
+        """``(n, features, h, w)``, arrays of `FRAME` and `PAST`, `EXPOSURE`: to `RESULTS`."""
+        *images, exposure = arrays
+        color, albedo, specular = images[:3]
+        frame = twin.Enlarged(color, albedo, specular, exposure)
+        past = twin.Remembered(*images[3:])
         image, kept = twin.reconstruct(frame, past, self.network(features), self.rules)
         return (image, *kept)
 
@@ -87,12 +91,13 @@ def whole_graph(fused: nn.Module, spec: ModelSpec, provenance: dict[str, Any]) -
     planes = {**FRAME, **PAST}
     arrays = [torch.ones(1, count, *features.shape[2:]) for count in planes.values()]
     axes = axes_of(spec)
+    exposure = torch.ones(1, 1, 1, 1)
     return to_model(
         WholeUpscale(fused, spec).eval(),
-        (features, *arrays),
-        ["features", *planes],
+        (features, *arrays, exposure),
+        ["features", *planes, EXPOSURE],
         list(RESULTS),
-        (axes, tuple(axes for _ in arrays)),
+        (axes, (*(axes for _ in arrays), {})),
         metadata_of(spec, provenance),
     ).SerializeToString()
 
@@ -148,6 +153,7 @@ def random_arrays(rng: np.random.Generator, height: int, width: int) -> dict[str
     for name in PAST:
         arrays[name][:, 3] *= 32 * (rng.random((height, width)) < 0.8)
     arrays["color"][:, :, 0, 0] = 1e5
+    arrays[EXPOSURE] = rng.lognormal(0, 1, (1, 1, 1, 1))
     return {name: value.astype(np.float32) for name, value in arrays.items()}
 
 
@@ -158,16 +164,20 @@ def decoded(
 
     def in_torch(kind: torch.dtype) -> list[np.ndarray]:
         given = {name: torch.from_numpy(value).to(kind) for name, value in arrays.items()}
-        frame = twin.Enlarged(*(given[name] for name in FRAME))
+        color, albedo, specular = (given[name] for name in FRAME)
+        frame = twin.Enlarged(color, albedo, specular, given[EXPOSURE])
         past = twin.Remembered(*(given[name] for name in PAST))
         maps = [torch.from_numpy(part).to(kind) for part in planes]
         image, kept = twin.reconstruct(frame, past, maps, FeatureFiltersModel(spec).rules)
         return [part.numpy() for part in (image, *kept)]
 
-    image = {name: np.ascontiguousarray(a[0].transpose(1, 2, 0)) for name, a in arrays.items()}
+    image = {
+        name: np.ascontiguousarray(arrays[name][0].transpose(1, 2, 0)) for name in (*FRAME, *PAST)
+    }
     light, albedo, specular, output = (image[name] for name in PAST)
+    exposure = float(arrays[EXPOSURE].item())
     found, kept = runtime.reconstruct(
-        runtime.Enlarged(*(image[name] for name in FRAME)),
+        runtime.Enlarged(**{name: image[name] for name in FRAME}, exposure=exposure),
         runtime.Past(runtime.Accumulated(light, albedo, specular), output),
         [part[0] for part in planes],
         FeatureFiltersModel(spec).rules,

@@ -15,10 +15,15 @@ import typer
 from stillray.cli import program
 from stillray.errors import InputError
 from stillray.io.exr.read_write import atomic_path
+from stillray.model_spec import ModelSpec
 from stillray.models.precision import int8_path, made_of, pairs_path
 from stillray.models.registry import WHOLE_SUFFIX, find_model
-from stillray_export.to_onnx import as_specified_now, scores_of
+from stillray_export import feature_filters, parity
+from stillray_export.to_onnx import as_specified_now, scores_of, whole_graph
+from stillray_training.families import RECURRENT, network_of
+from stillray_training.networks.fuse import fuse
 from stillray_training.onnx_graph import metadata_of
+from stillray_training.start import read_start
 
 
 def restate(path: Path, validation: Path | None = None) -> list[Path]:
@@ -35,10 +40,13 @@ def restate(path: Path, validation: Path | None = None) -> list[Path]:
     Returns
     -------
     list of Path
-        What was written.
+        What was written. The whole graph is exported anew where rules of the reconstruction are
+        other ones: they are part of it.
 
     Raises
     ------
+    stillray_export.parity.ParityError
+        The whole graph would differ from the runtime by more than rounding.
     InputError
         There is no such model, or there is nothing to tell: it says all of it already, or today's
         specification is of another network.
@@ -49,11 +57,29 @@ def restate(path: Path, validation: Path | None = None) -> list[Path]:
         raise InputError(f"model must say something else than its specification today, got {path}")
     whole = path.with_name(f"{path.stem}{WHOLE_SUFFIX}.onnx")
     files = [file for file in (path, whole, int8_path(path), pairs_path(path)) if file.is_file()]
+    if whole.is_file() and spec.decoder != info.spec.decoder:
+        _reconstruct_anew(path, whole, spec)
     _tell(files, metadata_of(spec, info.provenance))
     if validation is not None:
         told = {**info.provenance, "scores": scores_of(path, validation)}
         _tell(files, metadata_of(spec, told))
     return files
+
+
+def _reconstruct_anew(path: Path, whole: Path, spec: ModelSpec) -> None:
+    """Write the graph that reconstructs, too, which does it by the rules before."""
+    network = network_of(spec)
+    network.load_state_dict(dict(read_start(path).weights))
+    fused = fuse(network.eval())
+    alone, provenance = path.read_bytes(), find_model(path).provenance
+    if spec.family in RECURRENT:
+        graph = feature_filters.whole_graph(fused, spec, provenance)
+        feature_filters.check(network, fused, alone, graph, spec)
+    else:
+        graph = whole_graph(fused, spec, provenance).SerializeToString()
+        parity.check(network, fused, alone, graph, spec)
+    with atomic_path(whole) as temporary:
+        temporary.write_bytes(graph)
 
 
 def _tell(files: list[Path], metadata: dict[str, str]) -> None:

@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 import torch
 import typer
+from onnx import ModelProto
 from safetensors import safe_open
 from torch import Tensor, nn
 
@@ -97,17 +98,7 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
         "parameters": sum(parameter.numel() for parameter in fused.parameters()),
     }
     alone = network_graph(fused, spec, provenance)
-    family = FAMILIES[spec.family]
-    arrays = [torch.ones(parity.shape_of(name, *EXAMPLE)) for name in family.inputs]
-    axes = axes_of(spec)
-    whole = to_model(
-        WholeDenoise(fused, spec).eval(),
-        (example_features(spec), *arrays),
-        ["features", *family.inputs],
-        ["denoised"],
-        (axes, tuple({} if name in parity.SCALARS else axes for name in family.inputs)),
-        metadata_of(spec, provenance),
-    )
+    whole = whole_graph(fused, spec, provenance)
     # what the runtime would refuse is found here, not by who runs the model
     require_fit(checked(alone.SerializeToString(), spec.name)[1], spec, spec.name)
     parity.check(network, fused, alone.SerializeToString(), whole.SerializeToString(), spec)
@@ -118,6 +109,21 @@ def export(network: nn.Module, spec: ModelSpec, provenance: dict[str, Any], out:
     for integers in (int8_path(path), pairs_path(path)):
         integers.unlink(missing_ok=True)  # they were of the weights before
     return path
+
+
+def whole_graph(fused: nn.Module, spec: ModelSpec, provenance: dict[str, Any]) -> ModelProto:
+    """Network and reconstruction of a model as one graph."""
+    family = FAMILIES[spec.family]
+    arrays = [torch.ones(parity.shape_of(name, *EXAMPLE)) for name in family.inputs]
+    axes = axes_of(spec)
+    return to_model(
+        WholeDenoise(fused, spec).eval(),
+        (example_features(spec), *arrays),
+        ["features", *family.inputs],
+        ["denoised"],
+        (axes, tuple({} if name in parity.SCALARS else axes for name in family.inputs)),
+        metadata_of(spec, provenance),
+    )
 
 
 def main(
@@ -187,7 +193,7 @@ def as_specified_now(trained: ModelSpec) -> ModelSpec:
     if now.family != trained.family or now.network != trained.network:
         return trained
     # rules as well: no output of the network is there for them
-    names = ("resolve_tone", "sharp_recall", "learning_rate")
+    names = ("filter_tone", "resolve_tone", "sharp_recall", "learning_rate")
     rules = {name: value for name, value in vars(trained.decoder).items() if name in names}
     if dataclasses.replace(now.decoder, **rules) != trained.decoder:
         return trained

@@ -107,16 +107,20 @@ def test_weights_of_the_finest_levels_neighbours_equal_the_loop_oracle(height, w
         np.testing.assert_allclose(got, expected, rtol=5e-6)
 
 
+@pytest.mark.parametrize("tone", [0.0, 0.2, 3.0])
 @pytest.mark.parametrize("distances", [(1,), (2, 1), (40,), (4, 2, 1)])
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 1), (9, 14), (41, 18)])
-def test_filters_of_the_finest_level_equal_the_loop_oracle(height, width, distances):
+def test_filters_of_the_finest_level_equal_the_loop_oracle(height, width, distances, tone):
     options = dataclasses.replace(
-        OPTIONS, finest_neighbours=(2,), finest_filters=distances, filter_features=3
-    )
+        OPTIONS, finest_neighbours=(2,), finest_filters=distances, filter_features=3,
+        filter_tone=tone,
+    )  # fmt: skip
     inputs = draw(height, width, options=options)
-    expected = oracles.kernel_pyramid(*inputs, options)
+    exposure = 0.4
+    expected = oracles.kernel_pyramid(*inputs, options, exposure)
     for strips in (Strips(1), Strips(3), Strips(1, pixels=64)):
-        np.testing.assert_allclose(filtered(*inputs, options, strips), expected, rtol=5e-6)
+        got = filtered(*inputs, options, strips, exposure)
+        np.testing.assert_allclose(got, expected, rtol=5e-6)
 
 
 def test_filters_follow_what_looks_alike_and_stop_at_the_rest():
@@ -142,6 +146,38 @@ def test_filters_follow_what_looks_alike_and_stop_at_the_rest():
     np.testing.assert_allclose(beside, 1, rtol=1e-3)  # e^-24 of the blend is the coarser level's
     assert got[rim].std() < 0.35 * light[rim].std()
     np.testing.assert_allclose(got[rim].mean(), light[rim].mean(), rtol=0.03)
+
+
+def test_light_of_a_window_does_not_reach_a_dark_bar_by_the_last_filters():
+    options = dataclasses.replace(
+        OPTIONS, kernel_sizes=(1,), finest_kernels=False, predicted=False, finest_neighbours=(),
+        finest_filters=(2, 1), filter_features=1, resolve_tone=0.0,
+    )  # fmt: skip
+    height, width = 24, 32
+    layout = level_layout(0, 2, options)
+    logits = [
+        np.zeros((layout.filters.stop, height, width), np.float32),
+        np.zeros((level_layout(1, 2, options).double.stop, height // 2, width // 2), np.float32),
+    ]
+    logits[0][layout.blend][0] = 12
+    logits[0][layout.resolve] = logits[0][layout.sample_blend] = -1e9
+    bar = np.s_[:, 10:12]
+    logits[0][layout.features][0][bar] = 1.5  # e^-2.25: somewhat unlike the window around it
+    mean = np.full((height, width, 4), 50, np.float32)
+    mean[bar][..., :3] = 0.5
+    mean[..., 3] = 1
+
+    def at(exposure, tone):
+        toned = dataclasses.replace(options, filter_tone=tone)
+        got = filtered(mean, None, None, None, logits, toned, Strips(1), exposure)
+        return got[bar].mean(), got[:, :4].mean()
+
+    (leaks, window), (kept, same) = at(1.0, 0.0), at(1.0, 0.3)
+    assert leaks > 5
+    assert kept < 1.5
+    np.testing.assert_allclose(same, window, rtol=1e-3)
+    # of a scene shown so dark that its window is no brighter than white nothing changes
+    np.testing.assert_allclose(at(1 / 51, 0.3), at(1 / 51, 0.0), rtol=1e-6)
 
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (9, 14), (150, 70)])

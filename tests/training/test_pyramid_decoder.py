@@ -28,8 +28,8 @@ def _nchw(image):
 @pytest.mark.parametrize("finest", [True, False])
 @pytest.mark.parametrize("predicted", [True, False])
 @pytest.mark.parametrize("distances", [(), (1, 2)])
-@pytest.mark.parametrize("filters", [(), (4, 1)])
-def test_the_twin_equals_the_runtime(finest, predicted, distances, filters):
+@pytest.mark.parametrize(("filters", "tone"), [((), 0.0), ((4, 1), 0.0), ((4, 1), 0.5)])
+def test_the_twin_equals_the_runtime(finest, predicted, distances, filters, tone):
     options = dataclasses.replace(
         OPTIONS,
         finest_kernels=finest,
@@ -37,6 +37,7 @@ def test_the_twin_equals_the_runtime(finest, predicted, distances, filters):
         finest_neighbours=distances,
         finest_filters=filters,
         filter_features=3 * bool(filters),
+        filter_tone=tone,
     )
     mean, sample, albedo, previous, logits = draw(16, 24, options=options)
     light = Filterable(
@@ -48,7 +49,8 @@ def test_the_twin_equals_the_runtime(finest, predicted, distances, filters):
     parts = level_parts(maps, options)
     blend, weights = parts[0].sample_blend, parts[0].resolve
     given = blended_with_sample(past[:, :3], past[:, 3:], new[:, :3], new[:, 3:], blend)
-    image = kernel_pyramid(*given, parts, options) * _nchw(albedo)
+    exposure = torch.full((1, 1, 1, 1), 0.3)
+    image = kernel_pyramid(*given, parts, options, exposure=exposure) * _nchw(albedo)
     tone = torch.full((1, 1, 1, 1), options.resolve_tone * 0.3)
     image = resolve(image, weights, before[:, :3], before[:, 3:], tone)
     np.testing.assert_allclose(image[0].permute(1, 2, 0), wanted, rtol=2e-5)

@@ -84,7 +84,7 @@ def _pyramid(
     light, samples = blended_with_sample(
         batch["irradiance"], batch["samples"], batch["new"], batch["worth"], finest.sample_blend
     )
-    image = kernel_pyramid(light, samples, maps, spec.decoder, box)
+    image = kernel_pyramid(light, samples, maps, spec.decoder, box, batch["exposure"])
     image = image * batch["divisor"]
     # of a box, whatever filter a patch has: recipes whose scenes have others train with 0
     toned = spec.decoder.resolve_tone

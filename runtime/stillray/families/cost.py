@@ -38,6 +38,9 @@ def kernel_pyramid_cost(levels: int, options: PyramidKernels) -> tuple[float, fl
         filtered, moved = gaussian_cost(3, options.filter_features)
         operations += filtered
         planes += moved + 1  # a filter has a weight of the pixel itself, too
+    if options.filter_tone:  # a share by luminance, then two products with it a filter
+        operations += 3 * 2 + 2 + EXP + 2 * len(options.finest_filters)
+        planes += 1
     resolve = 9 * (1 + 3 * 2) + 3 + 3  # eight neighbours and the past; normalised, modulated
     return operations + resolve, planes
 

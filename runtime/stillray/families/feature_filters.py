@@ -99,7 +99,6 @@ class _Seen:
     frame: Enlarged
     surfaces: Surfaces
     past: Past | None
-    exposure: float
 
 
 class FeatureFiltersModel:
@@ -217,7 +216,7 @@ class FeatureFiltersModel:
         found: lamps.Restored | None = None
         if plan.runs("lamps"):
             with timed(context.timings, "lamps"):
-                found = self._lamps(image, plan, seen.exposure, context)
+                found = self._lamps(image, plan, seen.frame.exposure, context)
                 before = found.put_back(image, plan.buffers.color, None, self.scale)
 
         def finish() -> State:
@@ -264,6 +263,7 @@ class FeatureFiltersModel:
                 color=lit,
                 albedo=black if albedo is None else albedo,
                 specular=black if specular is None else specular,
+                exposure=exposure,
             )
             surfaces = Surfaces(
                 normal=taken("normal", buffers.normal),
@@ -278,7 +278,7 @@ class FeatureFiltersModel:
                 past = warped(plan.past, grid, motion, self.rules, strips, context.workspace)
                 if surfaces.depth is not None and _elsewhere(past.output, surfaces.depth, strips):
                     past = None
-        return _Seen(grid, frame, surfaces, past, exposure)
+        return _Seen(grid, frame, surfaces, past)
 
     def _exposed(self, plan: UpscalePlan, context: Context) -> tuple[float, np.ndarray]:
         """The exposure, and the color without what stands far above its surroundings."""
@@ -314,7 +314,6 @@ class FeatureFiltersModel:
             surfaces=seen.surfaces,
             accumulated=past.accumulated,
             output=past.output,
-            exposure=seen.exposure,
             offsets=(seen.grid.down, seen.grid.right),
         )
 
@@ -454,5 +453,7 @@ def _remember(seen: _Seen, image: np.ndarray, kept: Accumulated, context: Contex
     strips.run(work, height, width)
     parts = (kept.light, kept.albedo, kept.specular)
     return Remembered(
-        Accumulated(*(cut(part, grid.shape, strips) for part in parts)), output, seen.exposure
+        Accumulated(*(cut(part, grid.shape, strips) for part in parts)),
+        output,
+        seen.frame.exposure,
     )

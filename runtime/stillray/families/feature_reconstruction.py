@@ -32,7 +32,7 @@ from stillray.arrays.bounds import at_most
 from stillray.arrays.resample import halve
 from stillray.arrays.strips import STRIP_PIXELS, Strips, interleave, planes_of, with_halo
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
-from stillray.families.gaussian import Weights, framed, gaussian, measured
+from stillray.families.gaussian import Weights, framed, gaussian, measured, share_of_bright
 from stillray.families.logit_maps import LogitMaps, holds_nan, without_nan
 from stillray.model_spec.loader import Demodulate, FeatureFilters
 from stillray.models.steps import Output
@@ -51,11 +51,14 @@ class Enlarged:
         Radiance, finite and >= 0.
     albedo, specular
         In [0, 1]; zeros where there is none.
+    exposure
+        1 / radiance.
     """
 
     color: np.ndarray
     albedo: np.ndarray
     specular: np.ndarray
+    exposure: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,6 +236,7 @@ class _Reconstruction:
         """Filter what ``fill`` writes for rows, ``(channels, rows, w)``; ``finish`` takes it."""
         height, width = self._size[0] >> level, self._size[1] >> level
         maps, strips = self._maps[level], self._strips
+        tone, exposure = self._rules.filters.filter_tone, self._frame.exposure
 
         def work(rows: slice) -> None:
             workspace = strips.workspace
@@ -255,6 +259,10 @@ class _Reconstruction:
             maps.numbers(planes.features, near, features[:, filled, inside])
             measured(features[:, filled, inside], norms[0, filled, inside])
             maps.weight(planes.importance, near, weight[0, filled, inside])
+            if tone and channels == _PLANES:
+                share = workspace.array("share", (near.stop - near.start, width))
+                share_of_bright(values[6:, filled, inside], exposure, tone, share)
+                weight[0, filled, inside] *= share
             out = workspace.array("filtered", (channels, high - 2 * distance, width))
             itself = weight[0, distance : high - distance, inside]
             weights = Weights(features, norms[0], weight[0], itself)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+import cv2
 import numpy as np
 
 from stillray.arrays.strips import Strips, with_halo
@@ -24,7 +25,8 @@ def filter_finest(
     logits: LogitMaps,
     layout: LevelLayout,
     strips: Strips,
-) -> np.ndarray:
+    share: Callable[[slice, np.ndarray, np.ndarray], None] | None = None,
+) -> tuple[np.ndarray, np.ndarray | None]:
     """The finest level, blended and filtered.
 
     Parameters
@@ -39,11 +41,16 @@ def filter_finest(
         Of the logits, with one filter or more.
     strips
         Where the work runs.
+    share
+        Writes what rows weigh of what the logits say, ``(rows, w)``, told what was blended there,
+        ``(3, rows, w)``; None where they weigh all of it.
 
     Returns
     -------
-    (3, h, w) float32
+    filtered : (3, h, w) float32
         In the workspace of this thread: convex combinations of what was blended.
+    shares : (h, w) float32 or None
+        In the workspace, too: what ``share`` has written.
     """
     height, width = size
     margin = max(layout.filter_distances)
@@ -59,6 +66,10 @@ def filter_finest(
             ("finest norms", 1),
         )
     ]
+    shares: np.ndarray | None = None
+    if share is not None:
+        shares = strips.workspace.array("finest shares", source.shape[1:])
+        images.append(shares[None])
     within = slice(margin, margin + width)
 
     def fill(rows: slice) -> None:
@@ -68,13 +79,15 @@ def filter_finest(
         blend(rows, source[:, at, within])
         logits.numbers(layout.features, rows, features[:, at, within])
         measured(features[:, at, within], norms[0, at, within])
+        if share is not None and shares is not None:
+            share(rows, source[:, at, within], shares[at, within])
 
     strips.run(fill, height, width)
     for index in range(len(layout.filter_distances)):
-        step = _Filter(source, (features, norms[0]), logits, layout, index)
+        step = _Filter(source, (features, norms[0]), shares, (logits, layout, index))
         strips.run(partial(step.run, other, strips), height, width)
         source, other = other, source
-    return source[:, inside, within]
+    return source[:, inside, within], None if shares is None else shares[inside, within]
 
 
 def _frame(image: np.ndarray, at: slice, margin: int) -> None:
@@ -94,11 +107,11 @@ class _Filter:
         self,
         source: np.ndarray,
         features: tuple[np.ndarray, np.ndarray],
-        logits: LogitMaps,
-        layout: LevelLayout,
-        index: int,
+        shares: np.ndarray | None,
+        of_pass: tuple[LogitMaps, LevelLayout, int],
     ) -> None:
-        self._source, self._features, self._logits = source, features, logits
+        self._source, self._features, self._shares = source, features, shares
+        self._logits, layout, index = of_pass
         self._margin = max(layout.filter_distances)
         self._distance = layout.filter_distances[index]
         self._weight = layout.filters.start + 2 * index
@@ -116,10 +129,10 @@ class _Filter:
             distance,
         )
         own = workspace.array("own", (near.stop - near.start, width))
-        self._logits.weight(self._weight, near, own)
+        self._weigh(self._weight, near, own)
         other[top : top + len(own), distance:-distance] = own
         own = own[: rows.stop - rows.start]
-        self._logits.weight(self._weight + 1, rows, own)
+        self._weigh(self._weight + 1, rows, own)
         window = (
             slice(margin + rows.start - distance, margin + rows.stop + distance),
             slice(margin - distance, margin + width + distance),
@@ -128,3 +141,11 @@ class _Filter:
         weights = Weights(features[:, *window], norms[window], other, own)
         out = target[:, margin + rows.start : margin + rows.stop, margin : margin + width]
         gaussian(self._source[:, *window], weights, out, workspace, distance)
+
+    def _weigh(self, plane: int, rows: slice, out: np.ndarray) -> None:
+        """What rows weigh by one of the logits' planes, ``(rows, w)``."""
+        self._logits.weight(plane, rows, out)
+        if self._shares is not None:
+            margin = self._margin
+            at = slice(margin + rows.start, margin + rows.stop)
+            cv2.multiply(out, self._shares[at, margin : margin + out.shape[1]], dst=out)

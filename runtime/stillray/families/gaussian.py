@@ -16,9 +16,12 @@ import numpy as np
 from stillray.arrays.bounds import at_least
 from stillray.arrays.workspace import Workspace
 from stillray.families.pyramid_logits import NEIGHBOURS
+from stillray.stages.features import luminance_of_planes
 
 #: Squared distances beyond it weigh as it does, 1e-26: their exponentials would be denormal.
 MOST_DISTANCE = 60.0
+#: A pixel never weighs less than its inverse by its brightness alone: sums stay far above zero.
+MOST_TONED = np.float32(1e6)
 _ROOT = math.sqrt(2)
 
 
@@ -123,6 +126,27 @@ def measured(features: np.ndarray, norms: np.ndarray) -> None:
         plane *= _ROOT
         cv2.accumulateSquare(plane, norms)
     norms *= np.float32(-0.5)
+
+
+def share_of_bright(light: np.ndarray, exposure: float, tone: float, out: np.ndarray) -> None:
+    """What bright pixels weigh of what a network says: 1 / (1 + tone x).
+
+    Parameters
+    ----------
+    light : (3, h, w) float32
+        Irradiance >= 0.
+    exposure
+        What its luminance is multiplied by; x is how far the product is above 1.
+    tone
+        Above 0.
+    out : (h, w) float32
+        Written: 1 where x is 0, no less than 1 / `MOST_TONED`.
+    """
+    luminance_of_planes(light, out)
+    out *= np.float32(tone * exposure)
+    out -= np.float32(tone - 1)
+    np.clip(out, np.float32(1), MOST_TONED, out=out)
+    np.reciprocal(out, out=out)
 
 
 def framed(array: np.ndarray, filled: slice, margin: int) -> np.ndarray:

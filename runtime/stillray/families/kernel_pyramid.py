@@ -11,7 +11,7 @@ light is invented.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -25,6 +25,8 @@ from stillray.arrays.workspace import Workspace
 from stillray.families.box_filter import box_means
 from stillray.families.cost import kernel_pyramid_cost
 from stillray.families.finest_filters import filter_finest
+from stillray.families.gaussian import share_of_bright
+from stillray.families.layer_filter import Outputs
 from stillray.families.logit_maps import LogitMaps, holds_nan, without_nan
 from stillray.families.pyramid_logits import (
     NEIGHBOURS,
@@ -60,6 +62,26 @@ def receptive_field(network: PyramidNetwork) -> int:
     return network.block * way + network.block - 1
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Brightness:
+    """What of a color decides how it is filtered, for other layers to be filtered alike.
+
+    Attributes
+    ----------
+    shares : (H, W) float32 or None
+        What pixels weigh in the finest level's filters, see `share_of_bright`; of the size that
+        the levels divide. None where brightness does not count there.
+    toned : (h + 2, w + 2) float32 or None
+        What tells brighter neighbours in the resolve; None where they are not told.
+    """
+
+    shares: np.ndarray | None = None
+    toned: np.ndarray | None = None
+
+
+_OWN = Brightness()
+
+
 class KernelPyramidModel(TemporalKernels):
     """A model of the family ``kernel-pyramid``."""
 
@@ -91,7 +113,7 @@ class KernelPyramidModel(TemporalKernels):
     def reconstruct(
         self,
         light: Filterable,
-        outputs: Sequence[Output],
+        outputs: Outputs,
         strips: Strips,
         timings: dict[str, float],
     ) -> np.ndarray:
@@ -100,10 +122,9 @@ class KernelPyramidModel(TemporalKernels):
         After the outputs comes, perhaps, what `frozen` found.
         """
         logits, frozen = outputs[: self._levels], outputs[self._levels :]
-        toned = frozen[0] if frozen else None
-        assert not isinstance(toned, InSteps)
+        brightness = frozen[0] if frozen else _OWN
         with timed(timings, "reconstruct"):
-            return filter_pyramid(light, logits, self._options, strips, toned)
+            return filter_pyramid(light, logits, self._options, strips, brightness)
 
     def seen_from(
         self, view: View, outputs: Sequence[Output], strips: Strips, name: str
@@ -121,25 +142,30 @@ class KernelPyramidModel(TemporalKernels):
             found.append(InSteps(seen, given.steps) if isinstance(given, InSteps) else seen)
         return found
 
-    def frozen(
-        self, light: Filterable, outputs: Sequence[Output], strips: Strips
-    ) -> Sequence[Output]:
+    def frozen(self, light: Filterable, outputs: Outputs, strips: Strips) -> Outputs:
         """Outputs by which other layers are filtered as the frame's light was.
 
-        Which neighbours are the brighter ones is for the color to say: layers add up to it only if
+        Which pixels are the brighter ones is for the color to say: layers add up to it only if
         theirs weigh the same.
 
         Returns
         -------
-        list of arrays
-            The outputs, then what is compared of the color, ``(h + 2, w + 2)``, where it is.
+        list
+            The outputs, then `Brightness` of the color, where that counts.
         """
-        if not _tone(light, self._options):
+        if not (_tone(light, self._options) or self._options.filter_tone):
             return outputs
         outputs = without_nan(outputs)
+        finest = _finest(light, outputs, self._options, strips)
+        shares = None if finest.shares is None else finest.shares.copy()
+        return [*outputs, Brightness(shares=shares, toned=self._toned(finest, light, strips))]
+
+    def _toned(self, finest: _Level, light: Filterable, strips: Strips) -> np.ndarray | None:
+        """What tells brighter neighbours in the resolve, ``(h + 2, w + 2)``."""
+        if not _tone(light, self._options):
+            return None
         height, width = light.mean.shape[:2]
         toned = np.empty((height + 2, width + 2), np.float32)
-        finest = _finest(light, outputs, self._options, strips)
 
         def work(rows: slice) -> None:
             unresolved = finest.unresolved(rows, light, strips.workspace)
@@ -148,7 +174,7 @@ class KernelPyramidModel(TemporalKernels):
 
         strips.run(work, height, width)
         _repeat_border(toned, top=True, bottom=True)
-        return [*outputs, toned]
+        return toned
 
 
 def _tone(light: Filterable, options: PyramidKernels) -> float:
@@ -161,7 +187,7 @@ def filter_pyramid(
     logits: Sequence[Output],
     options: PyramidKernels,
     strips: Strips,
-    toned: np.ndarray | None = None,
+    brightness: Brightness = _OWN,
 ) -> np.ndarray:
     """Filter, re-modulate and resolve a frame.
 
@@ -177,8 +203,8 @@ def filter_pyramid(
         Kernel sizes and the bound of the logits.
     strips
         Where the work runs.
-    toned : (h + 2, w + 2) float32 or None
-        What tells brighter neighbours, of the light that the weights were made for; None for this.
+    brightness
+        Of the light that the weights were made for; by default of this light.
 
     Returns
     -------
@@ -186,11 +212,11 @@ def filter_pyramid(
         Radiance: for every pixel a convex combination of the irradiance around it, accumulated
         and new, times the divisors of its 3x3 neighbours, and of the previous output.
     """
-    image = _filtered(light, logits, options, strips, toned)
+    image = _filtered(light, logits, options, strips, brightness)
     # A logit that is not a number says nothing: 0. It shows in the image, which is a fifth of the
     # logits to look through.
     if np.isnan(image.max()) and holds_nan(logits):
-        image = _filtered(light, without_nan(logits), options, strips, toned)
+        image = _filtered(light, without_nan(logits), options, strips, brightness)
     return image
 
 
@@ -199,21 +225,25 @@ def _filtered(
     logits: Sequence[Output],
     options: PyramidKernels,
     strips: Strips,
-    toned: np.ndarray | None,
+    brightness: Brightness,
 ) -> np.ndarray:
     height, width = light.mean.shape[:2]
     image = np.empty((height, width, 3), np.float32)
-    finest = _finest(light, logits, options, strips)
+    finest = _finest(light, logits, options, strips, brightness.shares)
 
     def work(rows: slice) -> None:
-        finest.resolve(rows, light, toned, image[rows], strips.workspace)
+        finest.resolve(rows, light, brightness.toned, image[rows], strips.workspace)
 
     strips.run(work, height, width)
     return image
 
 
 def _finest(
-    light: Filterable, logits: Sequence[Output], options: PyramidKernels, strips: Strips
+    light: Filterable,
+    logits: Sequence[Output],
+    options: PyramidKernels,
+    strips: Strips,
+    shares: np.ndarray | None = None,
 ) -> _Level:
     """The finest level with all that it is blended of, filtered where the model does that."""
     levels = len(logits)
@@ -243,12 +273,29 @@ def _finest(
     top = _Level(pyramid[0], coarser, maps[0], finest, options)
     if finest.filter_distances:
         size = pyramid[0].shape[1:]
-        filtered = filter_finest(
+        filtered, shares = filter_finest(
             lambda rows, out: top.blend(rows, out, strips.workspace),
             (size[0], size[1]), maps[0], finest, strips,
+            _share(shares, light.exposure, options.filter_tone),
         )  # fmt: skip
-        top = replace(top, filtered=filtered)
+        top = replace(top, filtered=filtered, shares=shares)
     return top
+
+
+def _share(
+    shares: np.ndarray | None, exposure: float, tone: float
+) -> Callable[[slice, np.ndarray, np.ndarray], None] | None:
+    """How the finest level's filters learn what bright pixels weigh, see `filter_finest`."""
+    if not tone:
+        return None
+
+    def share(rows: slice, light: np.ndarray, out: np.ndarray) -> None:
+        if shares is None:
+            share_of_bright(light, exposure, tone, out)
+        else:
+            out[...] = shares[rows]
+
+    return share
 
 
 def _whole_blocks(
@@ -350,6 +397,8 @@ class _Level:
         Of the logits.
     filtered : (3, h, w) float32 or None
         The finest level as its last filters left it, which is then not blended again.
+    shares : (h, w) float32 or None
+        What its pixels weighed in those filters, see `Brightness`.
     """
 
     planes: np.ndarray
@@ -358,6 +407,7 @@ class _Level:
     layout: LevelLayout
     options: PyramidKernels
     filtered: np.ndarray | None = None
+    shares: np.ndarray | None = None
 
     def blended(self, strips: Strips, result: np.ndarray) -> None:
         """The whole level with its border repeated, into ``(3, h + 2, w + 2)``."""

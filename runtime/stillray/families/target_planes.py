@@ -81,8 +81,6 @@ class Known:
         Before this frame; all of it is 0 where it is not known.
     output : (H, W, 4) float32
         The last picture, and the logarithm of its depth; 0 where it is not known.
-    exposure
-        1 / radiance.
     offsets : (H,), (W,) float32
         See `stillray.families.target_grid.Grid`.
     """
@@ -91,18 +89,18 @@ class Known:
     surfaces: Surfaces
     accumulated: Accumulated
     output: np.ndarray
-    exposure: float
     offsets: tuple[np.ndarray, np.ndarray]
 
     def of_rows(self, rows: slice) -> Known:
         """The same of some rows."""
         frame, kept, (down, right) = self.frame, self.accumulated, self.offsets
         return Known(
-            frame=Enlarged(frame.color[rows], frame.albedo[rows], frame.specular[rows]),
+            frame=Enlarged(
+                frame.color[rows], frame.albedo[rows], frame.specular[rows], frame.exposure
+            ),
             surfaces=self.surfaces.of_rows(rows),
             accumulated=Accumulated(kept.light[rows], kept.albedo[rows], kept.specular[rows]),
             output=self.output[rows],
-            exposure=self.exposure,
             offsets=(down[rows], right),
         )
 
@@ -129,7 +127,7 @@ def planes_by_name(names: Sequence[str], known: Known, workspace: Workspace) -> 
     counts: dict[str, np.ndarray] = {}
     for name, image in (("color", frame.color), ("past", kept.light), ("output", known.output)):
         light = split(name, image)
-        tone_map(light[:_COLORS], known.exposure, out=light[:_COLORS])
+        tone_map(light[:_COLORS], known.frame.exposure, out=light[:_COLORS])
         found.update(_colors(name, light))
         counts[name] = light[-1]
     for name, image in (

@@ -321,6 +321,10 @@ class PyramidKernels(Decoder):
     # through at last, one after the other, and how many features they compare.
     finest_filters: tuple[int, ...] = ()
     filter_features: int = 0
+    # In those a pixel weighs 1 / (1 + tone x) of what the network says, to itself and to others,
+    # x being how far its exposed luminance is above 1 before they begin: light of a window, many
+    # times that, then does not reach the dark bars before it; 0: all of it.
+    filter_tone: float = 0.0
     # In the resolve a neighbour brighter than the pixel weighs (1 + tone x) / (1 + tone y) of what
     # the network says, x and y being the exposed luminance of pixel and neighbour; 0: all of it.
     # Less where the renderer's pixel filter is softer than a box, up to none of it.
@@ -332,6 +336,8 @@ class PyramidKernels(Decoder):
         _kernels(self.kernel_sizes)
         _within("decoder.ensemble", self.ensemble, 1, MOST_ENSEMBLE)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
+        most = _MOST_TONE if self.finest_filters else 0
+        _within("decoder.filter_tone", self.filter_tone, 0, most)
         _within("decoder.resolve_tone", self.resolve_tone, 0, _MOST_TONE)
         _each("decoder.finest_neighbours", self.finest_neighbours, 1, _MAX_WINDOW // 2)
         _each("decoder.finest_filters", self.finest_filters, 1, _MAX_WINDOW // 2)
@@ -474,9 +480,13 @@ class FeatureFilters(Decoder):
     # Whether the last output is interpolated by cubic convolution. Models that were exported
     # before it was known have none of it.
     sharp_recall: bool = False
+    # In the filters that denoise a pixel weighs 1 / (1 + tone x) of what the network says, x being
+    # how far the exposed luminance of its light is above 1; 0: all of it.
+    filter_tone: float = 0.0
 
     def __post_init__(self) -> None:
         _within("decoder.scale", self.scale, 1, 2)
+        _within("decoder.filter_tone", self.filter_tone, 0, _MOST_TONE)
         _each("decoder.coarsest_filters", self.coarsest_filters, 1, _MAX_WINDOW // 2)
         _within("decoder.features", self.features, 1, _MAX_FILTER_FEATURES)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, 20)

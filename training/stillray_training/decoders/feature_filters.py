@@ -13,17 +13,18 @@ from torch.nn import functional as F
 from stillray.families.feature_reconstruction import Rules
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
 from stillray_training.decoders.demodulate import divisor
-from stillray_training.decoders.gaussian import gaussian
+from stillray_training.decoders.gaussian import gaussian, share_of_bright
 
 
 @dataclass(frozen=True)
 class Enlarged:
     """A frame at the picture's pixels, ``(n, 3, h, w)`` each; zeros for albedos that there are
-    not."""
+    not. The exposure is ``(n, 1, 1, 1)``."""
 
     color: Tensor
     albedo: Tensor
     specular: Tensor
+    exposure: Tensor
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,12 @@ def reconstruct(
     for level, share in enumerate(shares.split(1, 1), start=1):
         pooled = F.avg_pool2d(torch.cat([planes * share, share], 1), 1 << level)
         pools.append(pooled[:, :-1] / pooled[:, -1:])
+
+    def share_of(values: Tensor) -> Tensor | None:
+        """What pixels weigh by the brightness of their light as it is."""
+        tone = rules.filters.filter_tone
+        return share_of_bright(values[:, 6:].detach(), frame.exposure, tone) if tone else None
+
     result: Tensor | None = None
     for level in reversed(range(1, levels)):
         own = level_layout(level, levels, rules.filters)
@@ -94,11 +101,11 @@ def reconstruct(
         if result is not None:
             values = _mixed(values, result, maps, own.coarser)
         for distance in own.distances:
-            values = _filtered(values, maps, own.denoise, distance)
+            values = _filtered(values, maps, own.denoise, distance, share_of(values))
         result = values
     if result is not None:
         planes = _mixed(planes, result, finest, layout.coarser)
-    planes = _filtered(planes, finest, layout.denoise)
+    planes = _filtered(planes, finest, layout.denoise, 1, share_of(planes))
     plain, diffuse, glossy, alone = _shares(finest[:, layout.compose]).split(1, 1)
     image = diffuse * planes[:, :3] * by + glossy * planes[:, 3:6] * by_specular
     image = image + plain * planes[:, 6:] + alone * enlarged
@@ -108,8 +115,16 @@ def reconstruct(
     return image, (light, albedo, specular)
 
 
-def _filtered(values: Tensor, maps: Tensor, planes: GaussianPlanes, distance: int = 1) -> Tensor:
+def _filtered(
+    values: Tensor,
+    maps: Tensor,
+    planes: GaussianPlanes,
+    distance: int = 1,
+    share: Tensor | None = None,
+) -> Tensor:
     weight = maps[:, planes.importance : planes.importance + 1].exp()
+    if share is not None:
+        weight = weight * share
     return gaussian(values, maps[:, planes.features], weight, weight, distance)
 
 

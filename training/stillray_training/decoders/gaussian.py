@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from stillray.families.gaussian import MOST_DISTANCE
+from stillray.families.gaussian import MOST_DISTANCE, MOST_TONED
 from stillray.families.pyramid_logits import NEIGHBOURS
+from stillray_training.decoders.luminance import luminance
 
 
 def gaussian(
@@ -55,6 +56,11 @@ def gaussian(
     share = (-apart.clamp(max=MOST_DISTANCE)).exp() * beside[:, :, channels : channels + 1]
     total = own + share.sum(1)
     return (values * own + (share * beside[:, :, :channels]).sum(1)) / total
+
+
+def share_of_bright(light_nchw: Tensor, exposure: Tensor, tone: float) -> Tensor:
+    """See `stillray.families.gaussian.share_of_bright`; ``(n, 1, h, w)``."""
+    return 1 / (tone * exposure * luminance(light_nchw) + 1 - tone).clamp(1.0, float(MOST_TONED))
 
 
 class _Gaussian(torch.autograd.Function):

@@ -12,7 +12,7 @@ from torch.nn import functional as F
 from stillray.families.pyramid_logits import NEIGHBOURS, level_layout
 from stillray.model_spec.loader import PyramidKernels
 from stillray_training.decoders.boxes import BoxMean
-from stillray_training.decoders.gaussian import gaussian
+from stillray_training.decoders.gaussian import gaussian, share_of_bright
 from stillray_training.decoders.luminance import luminance
 
 
@@ -64,6 +64,7 @@ def kernel_pyramid(
     maps: Sequence[LevelParts],
     options: PyramidKernels,
     box: Callable[[Tensor, int], Tensor] = BoxMean.apply,
+    exposure: Tensor | None = None,
 ) -> Tensor:
     """Filter at every resolution and blend from the coarsest to the finest.
 
@@ -79,6 +80,8 @@ def kernel_pyramid(
         Kernel sizes.
     box
         How window means are taken.
+    exposure : (n, 1, 1, 1)
+        What irradiance is multiplied by before bright pixels are told; asked for by `filter_tone`.
 
     Returns
     -------
@@ -122,7 +125,11 @@ def kernel_pyramid(
         result = total
     assert result is not None
     finest = maps[0]
-    pairs = zip(layouts[0].filter_distances, finest.filters.split(2, 1), strict=False)
+    logits = finest.filters
+    if options.filter_tone:
+        assert exposure is not None
+        logits = logits + share_of_bright(result.detach(), exposure, options.filter_tone).log()
+    pairs = zip(layouts[0].filter_distances, logits.split(2, 1), strict=False)
     for distance, pair in pairs:
         weight, own = pair.exp().split(1, 1)
         result = gaussian(result, finest.features, weight, own, distance)

@@ -34,7 +34,7 @@ from stillray_training.upscaling.enlarge import enlarge
 
 ENLARGED, TRACED = "{} + Lanczos", "{}, all pixels traced"
 OIDN = "oidn-high"
-MEASURED = ("psnr", "ssim", "smape", "flip", "flicker")
+MEASURED = ("psnr", "ssim", "smape", "relmse", "flip", "flicker")
 SEEN = (*MEASURED, "cvvdp")  # and what eyes would make of it, which takes a second a picture
 PICTURES = 2
 

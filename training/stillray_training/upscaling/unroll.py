@@ -68,7 +68,7 @@ def step(
             past = Remembered(light, albedo, specular, past.output)
     planes = network_planes(frame, past, names)
     outputs = network(planes)
-    given = Enlarged(frame["color"], frame["albedo"], frame["specular"])
+    given = Enlarged(frame["color"], frame["albedo"], frame["specular"], frame["exposure"])
     image, (light, albedo, specular) = reconstruct(given, past, outputs, rules)
     output = torch.cat([image, log_depth(frame["depth"])], 1)
     after = Remembered(light, albedo, specular, output)
