@@ -239,7 +239,7 @@ def kernel_pyramid(
             blended[y, x] = np.average(choices, axis=0, weights=shares)
         result = blended
     shown = exposure * result @ [0.2126, 0.7152, 0.0722]
-    less = 1 / (1 + options.filter_tone * np.maximum(shown - 1, 0))
+    less = 1 / np.minimum(1 + options.filter_tone * np.maximum(shown - 1, 0), 1e6)
     for index, distance in enumerate(options.finest_filters):
         features = np.log(compared[: options.filter_features])
         pair = compared[options.filter_features + 2 * index :][:2] * less
@@ -419,7 +419,7 @@ def feature_filters(
 
     def less(values: np.ndarray) -> np.ndarray:
         above = np.maximum(exposure * values[..., 6:] @ [0.2126, 0.7152, 0.0722] - 1, 0)
-        return 1 / (1 + filters.filter_tone * above)
+        return 1 / np.minimum(1 + filters.filter_tone * above, 1e6)
 
     result = None
     for level in reversed(range(1, levels)):

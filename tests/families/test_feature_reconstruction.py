@@ -136,7 +136,7 @@ def test_without_a_past_nothing_of_it_shows(rng):
     empty = {name: np.zeros_like(image) for name, image in past.items()}
     empty["output"] = past["output"]  # not known, though there
     image, after = reconstruct(
-        Enlarged(**frame),
+        Enlarged(**frame, exposure=EXPOSURE),
         None,
         planes,
         RULES,
@@ -165,7 +165,7 @@ def test_equal_frames_are_worth_as_many_samples_as_there_were(rng):
     past = None
     for count in range(1, 41):
         _, kept = reconstruct(
-            Enlarged(**frame),
+            Enlarged(**frame, exposure=EXPOSURE),
             past,
             planes,
             RULES,

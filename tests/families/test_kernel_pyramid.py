@@ -126,7 +126,7 @@ def test_filters_of_the_finest_level_equal_the_loop_oracle(height, width, distan
 def test_filters_follow_what_looks_alike_and_stop_at_the_rest():
     options = dataclasses.replace(
         OPTIONS, kernel_sizes=(1,), finest_kernels=False, predicted=False, finest_neighbours=(),
-        finest_filters=(4, 2, 1), filter_features=1, logit_bound=12.0,
+        finest_filters=(4, 2, 1), filter_features=1, filter_tone=0.0, logit_bound=12.0,
     )  # fmt: skip
     height, width = 24, 32
     layout = level_layout(0, 2, options)

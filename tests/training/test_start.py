@@ -60,7 +60,7 @@ def test_a_packaged_model_starts_a_deeper_one():
 def test_a_packaged_model_starts_one_with_more_blocks_and_filters():
     info = find_model("kpyr-5")
     known = info.spec.decoder
-    distances = (*known.finest_filters, 7)
+    distances = (*known.finest_filters, 16)
     deeper = dataclasses.replace(
         info.spec.network,
         decoder_blocks=tuple(count + 1 for count in info.spec.network.decoder_blocks),
@@ -75,9 +75,9 @@ def test_a_packaged_model_starts_one_with_more_blocks_and_filters():
     wanted, *others = first(features)
     torch.testing.assert_close(finest[:, : wanted.shape[1]], wanted)
     torch.testing.assert_close(coarser, others)
-    # the new filter takes what the next, 4 apart, does, and less of it
+    # the new filter takes what the next, 8 apart, does, and less of it
     names = logit_names(0, deeper.resolutions, known)
-    at = [names.index(f"filters: 4 {who}") for who in ("others", "itself")]
+    at = [names.index(f"filters: 8 {who}") for who in ("others", "itself")]
     like = wanted[:, at] + torch.tensor([0.0, 2.0])[None, :, None, None]
     torch.testing.assert_close(finest[:, wanted.shape[1] :], like)
 

@@ -314,13 +314,14 @@ class FrameGraph(nn.Module):
             for start, stop in ((0, 3), (3, 4), (4, 7), (7, 8))
         )
         light, held = blended_with_sample(light, held, new, worth, maps[0].sample_blend)
-        exposure = self._exposure(frame).reshape(1, 1, 1, 1)
-        image = kernel_pyramid(light, held, maps, self.options, pooled_box_mean, exposure)
+        scale = frame.exposure.reshape(1, 1, 1, 1)  # of irradiance; of the picture see below
+        image = kernel_pyramid(light, held, maps, self.options, pooled_box_mean, scale)
         # what was added to whole cells goes before pixels are mixed with their neighbours
         image = image[..., :height, :width] * frame.divisor
         weights = maps[0].resolve[..., :height, :width]
         tone: Tensor | None = None
         if toned := self.options.resolve_tone:
+            exposure = self._exposure(frame).reshape(1, 1, 1, 1)
             tone = toned * filter_sharpness(frame.filter_spread) * exposure
         image = resolve(image, weights, frame.previous, frame.valid, tone)
         if self.spec.relief.window:

@@ -336,8 +336,7 @@ class PyramidKernels(Decoder):
         _kernels(self.kernel_sizes)
         _within("decoder.ensemble", self.ensemble, 1, MOST_ENSEMBLE)
         _within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
-        most = _MOST_TONE if self.finest_filters else 0
-        _within("decoder.filter_tone", self.filter_tone, 0, most)
+        _within("decoder.filter_tone", self.filter_tone, 0, _MOST_TONE)
         _within("decoder.resolve_tone", self.resolve_tone, 0, _MOST_TONE)
         _each("decoder.finest_neighbours", self.finest_neighbours, 1, _MAX_WINDOW // 2)
         _each("decoder.finest_filters", self.finest_filters, 1, _MAX_WINDOW // 2)
