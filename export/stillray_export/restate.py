@@ -17,7 +17,7 @@ from stillray.errors import InputError
 from stillray.io.exr.read_write import atomic_path
 from stillray.model_spec import ModelSpec
 from stillray.models.precision import int8_path, made_of, pairs_path
-from stillray.models.registry import WHOLE_SUFFIX, find_model
+from stillray.models.registry import WHOLE_SUFFIX, ModelInfo, find_model
 from stillray_export import feature_filters, parity
 from stillray_export.to_onnx import as_specified_now, scores_of, whole_graph
 from stillray_training.families import RECURRENT, network_of
@@ -58,7 +58,7 @@ def restate(path: Path, validation: Path | None = None) -> list[Path]:
     whole = path.with_name(f"{path.stem}{WHOLE_SUFFIX}.onnx")
     files = [file for file in (path, whole, int8_path(path), pairs_path(path)) if file.is_file()]
     if whole.is_file() and spec.decoder != info.spec.decoder:
-        _reconstruct_anew(path, whole, spec)
+        _reconstruct_anew(info, whole, spec)
     _tell(files, metadata_of(spec, info.provenance))
     if validation is not None:
         told = {**info.provenance, "scores": scores_of(path, validation)}
@@ -66,12 +66,12 @@ def restate(path: Path, validation: Path | None = None) -> list[Path]:
     return files
 
 
-def _reconstruct_anew(path: Path, whole: Path, spec: ModelSpec) -> None:
+def _reconstruct_anew(info: ModelInfo, whole: Path, spec: ModelSpec) -> None:
     """Write the graph that reconstructs, too, which does it by the rules before."""
     network = network_of(spec)
-    network.load_state_dict(dict(read_start(path).weights))
+    network.load_state_dict(dict(read_start(info.path).weights))
     fused = fuse(network.eval())
-    alone, provenance = path.read_bytes(), find_model(path).provenance
+    alone, provenance = info.path.read_bytes(), info.provenance
     if spec.family in RECURRENT:
         graph = feature_filters.whole_graph(fused, spec, provenance)
         feature_filters.check(network, fused, alone, graph, spec)

@@ -123,20 +123,26 @@ def test_filters_of_the_finest_level_equal_the_loop_oracle(height, width, distan
         np.testing.assert_allclose(got, expected, rtol=5e-6)
 
 
+def filters_alone(height, width, options):
+    """Logits of two levels by which the finest is its own light, filtered; and their layout."""
+    layout = level_layout(0, 2, options)
+    logits = [
+        np.zeros((layout.filters.stop, height, width), np.float32),
+        np.zeros((level_layout(1, 2, options).double.stop, height // 2, width // 2), np.float32),
+    ]
+    logits[0][layout.blend][0] = 12  # of the blend itself alone
+    logits[0][layout.resolve] = logits[0][layout.sample_blend] = -1e9
+    return layout, logits
+
+
 def test_filters_follow_what_looks_alike_and_stop_at_the_rest():
     options = dataclasses.replace(
         OPTIONS, kernel_sizes=(1,), finest_kernels=False, predicted=False, finest_neighbours=(),
         finest_filters=(4, 2, 1), filter_features=1, filter_tone=0.0, logit_bound=12.0,
     )  # fmt: skip
     height, width = 24, 32
-    layout = level_layout(0, 2, options)
-    logits = [
-        np.zeros((layout.filters.stop, height, width), np.float32),
-        np.zeros((level_layout(1, 2, options).double.stop, height // 2, width // 2), np.float32),
-    ]
+    layout, logits = filters_alone(height, width, options)
     rim = (slice(None), slice(10, 12))  # two columns, of a light of their own
-    logits[0][layout.blend][0] = 12  # of the blend itself alone
-    logits[0][layout.resolve] = logits[0][layout.sample_blend] = -1e9
     logits[0][layout.features][0][rim] = 8
     light = np.ones((height, width, 3), np.float32)
     light[rim] = 50 * np.random.default_rng(1).uniform(0.5, 1.5, (height, 2, 1))
@@ -154,13 +160,7 @@ def test_light_of_a_window_does_not_reach_a_dark_bar_by_the_last_filters():
         finest_filters=(2, 1), filter_features=1, resolve_tone=0.0,
     )  # fmt: skip
     height, width = 24, 32
-    layout = level_layout(0, 2, options)
-    logits = [
-        np.zeros((layout.filters.stop, height, width), np.float32),
-        np.zeros((level_layout(1, 2, options).double.stop, height // 2, width // 2), np.float32),
-    ]
-    logits[0][layout.blend][0] = 12
-    logits[0][layout.resolve] = logits[0][layout.sample_blend] = -1e9
+    layout, logits = filters_alone(height, width, options)
     bar = np.s_[:, 10:12]
     logits[0][layout.features][0][bar] = 1.5  # e^-2.25: somewhat unlike the window around it
     mean = np.full((height, width, 4), 50, np.float32)
