@@ -238,6 +238,22 @@ def test_a_batch_depends_on_seed_and_step_only(data, small):
     assert first.features.shape == (2, 8, 32, 32)
 
 
+def test_a_share_of_batches_is_of_small_patches(data, small):
+    examples = load_examples(find_sequences(data)[0], small, Strips(1))
+
+    def sizes(share, patch):
+        recipe = dataclasses.replace(small.training, small_share=share, patch=patch)
+        sampler = PatchSampler(examples, dataclasses.replace(small, training=recipe))
+        batches = [sampler.batch(step) for step in range(120)]
+        shapes = {array.shape[2:] for batch in batches for array in (batch.features, batch.new)}
+        assert shapes == {batch.reference.shape[2:] for batch in batches}
+        return [batch.features.shape[2] for batch in batches]
+
+    assert set(sizes(0.0, 40)) == {40}
+    assert set(sizes(1.0, 40)) == {32, 40}  # none is larger than the recipe's
+    assert 10 <= sizes(0.5, 40).count(32) <= 30  # a third of half of them, some more or fewer
+
+
 def test_augmentation_keeps_target_and_input_together(data, small):
     # the mean of many noisy samples is the reference, whatever the turn, order, gain and albedo
     examples = load_examples(find_sequences(data)[0], small, Strips(1))

@@ -17,6 +17,8 @@ _FILTER_KNOWN = 0.6  # and, to networks that ask, what pixel filter they have
 _AT_BORDER = 0.3  # share of patches that touch the top or bottom, and the left or right
 #: Share of patches that are the one of two with more edges: errors are there.
 BUSIER = 0.5
+#: Height and width of the patches of `small_share`: a level or two of a pyramid has a pixel then.
+SMALL = (32, 48, 64)
 _FLAT = 0.05  # relative contrast of a reference patch below which there is little to learn
 
 
@@ -72,28 +74,30 @@ class PatchSampler:
         """The batch of one training step."""
         recipe = self._spec.training
         rng = np.random.default_rng([recipe.seed, step])
-        patches = [self._patch(rng) for _ in range(recipe.batch)]
+        size = recipe.patch
+        if recipe.small_share and rng.random() < recipe.small_share:
+            size = min(size, int(rng.choice(SMALL)))
+        patches = [self._patch(size, rng) for _ in range(recipe.batch)]
         return Batch(**{name: np.stack([patch[name] for patch in patches]) for name in patches[0]})
 
-    def _patch(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    def _patch(self, size: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
         recipe = self._spec.training
         drawn = rng.random()
         kind = QUIET if drawn < recipe.quiet_share else NOISY
         if recipe.quiet_share <= drawn < recipe.quiet_share + recipe.still_share:
             kind = STILL
         places = self._places.get(kind) or self._places[NOISY]
-        example, window, edges = self._window(places, rng)
+        example, window, edges = self._window(places, size, rng)
         if rng.random() < BUSIER:
-            other, elsewhere, more = self._window(places, rng)
+            other, elsewhere, more = self._window(places, size, rng)
             if more > edges:
                 example, window = other, elsewhere
         return self._augment(example, window, rng)
 
     def _window(
-        self, places: list[int], rng: np.random.Generator
+        self, places: list[int], size: int, rng: np.random.Generator
     ) -> tuple[Example, tuple[slice, slice], float]:
         """A patch of one of some examples, in which there is something to learn, and its edges."""
-        size = self._spec.training.patch
         for _ in range(8):
             example = self._examples[places[rng.integers(len(places))]]
             height, width = example.reference.shape[:2]

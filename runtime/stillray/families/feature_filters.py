@@ -3,7 +3,8 @@
 Kazmierczyk et al. 2025. Everything is at the picture's pixels, of which there may be twice as many
 along each axis as in the frame: the frame's samples lie where its jitter puts them, and what was
 accumulated, the last picture among it, is brought there by motion. Pixels at which nothing is
-remembered begin anew; whether a past still holds is for the network to say.
+remembered begin anew, and so do those whose light has changed; whether the rest of the past still
+holds is for the network to say.
 """
 
 from __future__ import annotations
@@ -26,12 +27,15 @@ from stillray.families.feature_reconstruction import (
     reconstruct,
 )
 from stillray.families.network_input import NetworkInput
+from stillray.families.past_agreement import Shown, reject_history
 from stillray.families.target_grid import Grid, dilated, recalled
 from stillray.families.target_planes import Known, Surfaces, log_depth, planes_by_name
 from stillray.frame import Frame
 from stillray.model_spec.loader import BranchNetwork, FeatureFilters, ModelSpec
 from stillray.stages import features, lamps
 from stillray.stages.accumulate import bounded
+from stillray.stages.decide import REJECT
+from stillray.stages.history_rejection import Noise
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.repair import Buffers, all_within, repair_feature
 from stillray.stages.reproject import Edges, bound_blur
@@ -56,11 +60,14 @@ class Remembered:
         The picture, and the logarithm of the depth of its pixels.
     exposure
         1 / radiance.
+    noise
+        See `stillray.stages.history_rejection`; None of a frame without a past.
     """
 
     accumulated: Accumulated
     output: np.ndarray
     exposure: float
+    noise: Noise | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,6 +106,7 @@ class _Seen:
     frame: Enlarged
     surfaces: Surfaces
     past: Past | None
+    noise: Noise | None
 
 
 class FeatureFiltersModel:
@@ -187,6 +195,7 @@ class FeatureFiltersModel:
             Stage("expose", True, "relative to its brightness; what stands far above is bounded"),
             Stage("enlarge", True, f"to {width} x {height} pixels; samples lie {place}"),
             Stage("warp", not why_anew, why_anew or "history and motion are there"),
+            Stage("reject_history", not why_anew, why_anew or REJECT),
             Stage("encode", True, f"{len(self.spec.network.features)} planes for the network"),
             Stage("network", True, self.spec.name),
             Stage("reconstruct", True, "filters by distances of features, at every resolution"),
@@ -271,14 +280,27 @@ class FeatureFiltersModel:
                 depth=taken("depth", buffers.depth),
                 depth_unit=1.0 if buffers.depth is None else features.depth_scale(buffers.depth),
             )
-        past: Past | None = None
-        if plan.past is not None and buffers.motion is not None:
-            with timed(timings, "warp"):
-                motion = dilated(buffers.motion, buffers.depth, strips)
-                past = warped(plan.past, grid, motion, self.rules, strips, context.workspace)
-                if surfaces.depth is not None and _elsewhere(past.output, surfaces.depth, strips):
-                    past = None
-        return _Seen(grid, frame, surfaces, past)
+        past, noise = self._past(
+            plan, grid, surfaces, Shown(color, buffers.broken, exposure), context
+        )
+        return _Seen(grid, frame, surfaces, past, noise)
+
+    def _past(
+        self, plan: UpscalePlan, grid: Grid, surfaces: Surfaces, shown: Shown, context: Context
+    ) -> tuple[Past | None, Noise | None]:
+        """What still holds of the past, at the picture's pixels; and the noise of its samples."""
+        buffers, strips = plan.buffers, context.strips
+        if plan.past is None or buffers.motion is None:
+            return None, None
+        with timed(context.timings, "warp"):
+            motion = dilated(buffers.motion, buffers.depth, strips)
+            past = warped(plan.past, grid, motion, self.rules, strips, context.workspace)
+            depth = surfaces.depth
+            elsewhere = depth is not None and _elsewhere(past.output, depth, strips)
+        with timed(context.timings, "reject_history"):
+            if elsewhere:
+                return None, None
+            return past, reject_history(past, shown, grid, buffers.motion, plan.past.noise, strips)
 
     def _exposed(self, plan: UpscalePlan, context: Context) -> tuple[float, np.ndarray]:
         """The exposure, and the color without what stands far above its surroundings."""
@@ -456,4 +478,5 @@ def _remember(seen: _Seen, image: np.ndarray, kept: Accumulated, context: Contex
         Accumulated(*(cut(part, grid.shape, strips) for part in parts)),
         output,
         seen.frame.exposure,
+        seen.noise,
     )

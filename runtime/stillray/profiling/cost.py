@@ -109,6 +109,9 @@ def stage_costs(info: ModelInfo, frame: Frame, precision: str = "float32") -> di
 #: Of small lamps where none was lost: light times albedo, two luminances; for three sizes of blocks
 #: the least sample and the largest pixel of the picture, of four comparisons each; which are lost.
 LAMPS = (3 + 2 * 5 + 1 + 3 * 2 * 4 + 4 * 2, 4 + 3 + 3 + 2 + 2)
+#: Weight, luminance of the past, four planes halved; at half resolution and a third more of it,
+#: four window sums, the error of a difference and what it leaves, twice at the finest.
+REJECT_HISTORY = (8 + 5 + 7 + 4 + 1 / 3 * (4 * WINDOW_SUM + 2 * 14), 2 + 1 + 4 + 4 / 3 * 8)
 
 
 def _each_target_pixel(family: FeatureFiltersModel, frame: Frame) -> dict[str, tuple[float, float]]:
@@ -130,6 +133,8 @@ def _each_target_pixel(family: FeatureFiltersModel, frame: Frame) -> dict[str, t
         "enlarge": (0, share * buffers + enlarged),
         # nine depths looked at; of what is remembered four taps
         "warp": (share * 9 * 2 + 8 + 4 * 2 * remembered, share * 3 + 2 * remembered),
+        # means of the past's pixels; what is let go of it is next to nothing
+        "reject_history": (4 + share * REJECT_HISTORY[0], 4 + share * REJECT_HISTORY[1]),
         # nine channels toned, counts as sines and cosines
         "encode": (9 * (4 + EXP) + 10 * EXP, enlarged + remembered + features),
         "reconstruct": (operations, planes),
@@ -157,12 +162,7 @@ def _each_pixel(family: TemporalKernels, frame: Frame) -> dict[str, tuple[float,
         # limit, divide and luminance
         "demodulate": (2 * albedo + 3 + 5, 3 + 2 * albedo + 1),
         "expose": (local + 2, 2),
-        # weight, luminance of the past, four planes halved; at half resolution and a third more of
-        # it, four window sums, the error of a difference and what it leaves, twice at the finest
-        "reject_history": (
-            8 + 5 + 7 + 4 + 1 / 3 * (4 * WINDOW_SUM + 2 * 14),
-            2 + 1 + 4 + 4 / 3 * 8,
-        ),
+        "reject_history": REJECT_HISTORY,
         # two images toned and halved; at half resolution, a depth: positions, a tap, a window sum
         "specular_motion": (
             2 * (5 + 4 + 1) + 4 / 4 * (4 + 9 + 2 + WINDOW_SUM),

@@ -27,8 +27,8 @@ TOTAL, REST = "total", "rest"
 #: The stages in the order of a frame's way, files included.
 ORDER = (
     "read", "inspect", "repair", "remove_outliers", "find_filter", "demodulate", "expose",
-    "specular_motion", "surface_guides", "reproject", "reject_history", "accumulate",
-    "accumulate_albedo", "resample_output", "enlarge", "regress", "warp", "encode", "network",
+    "specular_motion", "surface_guides", "enlarge", "warp", "reproject", "reject_history",
+    "accumulate", "accumulate_albedo", "resample_output", "regress", "encode", "network",
     "filter", "reconstruct", "remodulate", "relief", "lamps", "layers", "learn", "keep_output",
     "remember",
     FRAME, REST, "write",

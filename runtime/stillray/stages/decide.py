@@ -146,7 +146,7 @@ _FILTER = {
     False: "nobody says the renderer's pixel filter: do neighbours share their noise?",
 }
 _OUTLIERS = "the model asks for it"
-_REJECT = "what the past says is compared with this frame's samples"
+REJECT = "what the past says is compared with this frame's samples"
 
 
 def _why_anew(shape: tuple[int, int], past: Remembered | None, wants: Wants) -> str:
@@ -206,7 +206,7 @@ class _Facts:
             self._specular_motion(),
             self._surface_guides(),
             Stage("reproject", self._moves, self._why),
-            Stage("reject_history", self._moves, _REJECT if self._moves else self._why),
+            Stage("reject_history", self._moves, REJECT if self._moves else self._why),
             Stage("accumulate", True, self._why if self._moves else f"begins anew: {self._why}"),
             self._accumulate_albedo(),
             self._resample_output(),

@@ -1,0 +1,114 @@
+"""Where light has changed though surfaces stay, the past of a picture is let go.
+
+For models whose past lies at the pixels of the picture, of which a frame may have fewer: its
+samples are compared with the mean of what was accumulated over their pixels, see
+`stillray.stages.history_rejection`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stillray.arrays.strips import STRIP_PIXELS, Strips, pixels_of, planes_of
+from stillray.families.feature_reconstruction import Past
+from stillray.families.target_grid import Grid
+from stillray.stages.features import luminance
+from stillray.stages.history_rejection import PLANES, Noise, compare, confidence
+
+# The picture and the albedos have no samples of their own that could be worth less: below this
+# share nothing is left of them either, and the pixel begins anew.
+_LEAST = np.float32(0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What a frame shows.
+
+    Attributes
+    ----------
+    color : (h, w, 3) float32
+        Radiance as it is accumulated: what stands far above its surroundings is bounded.
+    broken : (h, w) bool or None
+        Pixels that were filled in, and say nothing.
+    exposure
+        1 / radiance.
+    """
+
+    color: np.ndarray
+    broken: np.ndarray | None
+    exposure: float
+
+
+def reject_history(
+    past: Past, shown: Shown, grid: Grid, motion: np.ndarray, noise: Noise | None, strips: Strips
+) -> Noise:
+    """Take samples from a past that disagrees with a frame, and all of it where most would go.
+
+    Parameters
+    ----------
+    past
+        At the pixels of the picture; written to.
+    shown
+        The frame.
+    grid
+        Of the picture.
+    motion : (h, w, 2) float32
+        Pixels of the frame, finite.
+    noise
+        What the last frame's call gave, or None.
+    strips
+        Where the work runs.
+
+    Returns
+    -------
+    noise
+        For the next frame.
+    """
+    blocks = _compared(past, shown, grid.scale, strips)
+    held, noise = confidence(blocks, noise, motion, shown.exposure, strips)
+    if held is None:
+        return noise
+    kept = past.accumulated
+    images = (kept.light, kept.albedo, kept.specular, past.output)
+
+    def work(rows: slice) -> None:
+        share = grid.take(held, rows)
+        kept.light[rows, :, 3] *= share
+        lost = np.flatnonzero(share < _LEAST)
+        for image in images:
+            pixels_of(image[rows])[lost] = 0
+
+    strips.run(work, *grid.full)
+    return noise
+
+
+def _compared(past: Past, shown: Shown, scale: int, strips: Strips) -> np.ndarray:
+    """What `compare` gives for a whole frame."""
+    height, width = shown.color.shape[:2]
+    light = past.accumulated.light
+    blocks = np.empty((PLANES, -(-height // 2), -(-width // 2)), np.float32)
+
+    def work(two: slice) -> None:
+        rows = slice(2 * two.start, min(2 * two.stop, height))
+        before = light[scale * rows.start : scale * rows.stop, : scale * width]
+        if scale > 1:
+            size = (width, rows.stop - rows.start)
+            before = cv2.resize(before, size, interpolation=cv2.INTER_AREA)
+        planes = strips.workspace.array("past of a strip", (4, *before.shape[:2]))
+        weight = np.ones(before.shape[:2], np.float32)
+        if shown.broken is not None:
+            weight[shown.broken[rows]] = 0
+        compare(
+            luminance(shown.color[rows]),
+            weight,
+            planes_of(before, out=planes),
+            shown.exposure,
+            blocks[:, two],
+            strips.workspace,
+        )
+
+    strips.run(work, blocks.shape[1], width, pixels=STRIP_PIXELS // 2)
+    return blocks
