@@ -125,7 +125,7 @@ def _stages(shot: PlannedShot, frames: Sequence[Sequence[ViewFrame]]) -> list[di
     for views in zip(*frames, strict=True):
         asked = Asked(
             model=shot.model.name,
-            temporal=shot.options.temporal and not shot.model.spec.training.alone,
+            temporal=shot.options.temporal and shot.model.spec.knows_past,
             layers=list(views[-1].lights),
             max_memory=shot.work.memory_of_view,
         )

@@ -614,6 +614,11 @@ class ModelSpec:
         return PIXEL_FILTER in self.network.features or self.decoder.minds_filter
 
     @property
+    def knows_past(self) -> bool:
+        """Whether frames may have a past: otherwise each is denoised alone, whatever is asked."""
+        return not self.training.alone
+
+    @property
     def knows_jitter(self) -> bool:
         """Whether jitter is looked at: pictures then lie at the centres of their pixels."""
         return "jitter" in (*self.inputs.required, *self.inputs.optional)

@@ -115,7 +115,7 @@ class Denoiser:
         if ensemble != 1:
             self.model = with_overrides(self.model, ensemble=ensemble)
         #: Whether frames are accumulated.
-        self.temporal = temporal and not self.model.spec.training.alone
+        self.temporal = temporal and self.model.spec.knows_past
         self.max_memory = max_memory
         #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
         self.last_timings: dict[str, float] = {}
