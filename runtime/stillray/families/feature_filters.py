@@ -274,11 +274,14 @@ class FeatureFiltersModel:
                 specular=black if specular is None else specular,
                 exposure=exposure,
             )
+            depth = buffers.depth
+            far = None if depth is None else _in_logarithms(depth, context)
             surfaces = Surfaces(
                 normal=taken("normal", buffers.normal),
                 roughness=taken("roughness", plan.guides.get("roughness")),
-                depth=taken("depth", buffers.depth),
-                depth_unit=1.0 if buffers.depth is None else features.depth_scale(buffers.depth),
+                depth=taken("depth", depth),
+                log_depth=taken("log depth", far),
+                depth_unit=1.0 if depth is None else features.depth_scale(depth),
             )
         past, noise = self._past(
             plan, grid, surfaces, Shown(color, buffers.broken, exposure), context
@@ -295,7 +298,7 @@ class FeatureFiltersModel:
         with timed(context.timings, "warp"):
             motion = dilated(buffers.motion, buffers.depth, strips)
             past = warped(plan.past, grid, motion, self.rules, strips, context.workspace)
-            depth = surfaces.depth
+            depth = surfaces.log_depth
             elsewhere = depth is not None and _elsewhere(past.output, depth, strips)
         with timed(context.timings, "reject_history"):
             if elsewhere:
@@ -419,6 +422,17 @@ def warped(
     return Past(Accumulated(*room[:3]), room[3])
 
 
+def _in_logarithms(depth: np.ndarray, context: Context) -> np.ndarray:
+    """`log_depth` of a frame."""
+    found = context.workspace.array("logarithm of depth", depth.shape)
+
+    def work(rows: slice) -> None:
+        found[rows] = log_depth(depth[rows])
+
+    context.strips.run(work, *depth.shape)
+    return found
+
+
 def _elsewhere(output: np.ndarray, depth: np.ndarray, strips: Strips) -> bool:
     """Whether the last picture is of another view: a cut that nobody told.
 
@@ -430,13 +444,13 @@ def _elsewhere(output: np.ndarray, depth: np.ndarray, strips: Strips) -> bool:
     output : (H, W, 4) float32
         Of `warped`: last the logarithm of depth, 0 where it is not known.
     depth : (H, W) float32
-        This frame's.
+        Of this frame, the same.
     """
 
     def count(rows: slice) -> np.ndarray:
         before = output[rows, :, 3]
         known = before != 0
-        apart = np.abs(before - log_depth(depth[rows])) > _OTHER_DEPTH
+        apart = np.abs(before - depth[rows]) > _OTHER_DEPTH
         return np.array([np.count_nonzero(known), np.count_nonzero(known & apart)])
 
     known, other = np.sum(strips.run(count, *depth.shape), axis=0)
@@ -463,14 +477,14 @@ def _room(grid: Grid, context: Context) -> Accumulated:
 
 
 def _remember(seen: _Seen, image: np.ndarray, kept: Accumulated, context: Context) -> Remembered:
-    grid, depth, strips = seen.grid, seen.surfaces.depth, context.strips
+    grid, depth, strips = seen.grid, seen.surfaces.log_depth, context.strips
     height, width = grid.shape
     old = _old(grid, context)
     output = np.empty((height, width, 4), np.float32) if old is None else old.output
 
     def work(rows: slice) -> None:
         output[rows, :, :3] = image[rows]
-        output[rows, :, 3] = 0 if depth is None else log_depth(depth[rows, :width])
+        output[rows, :, 3] = 0 if depth is None else depth[rows, :width]
 
     strips.run(work, height, width)
     parts = (kept.light, kept.albedo, kept.specular)

@@ -31,8 +31,8 @@ class Surfaces:
     ----------
     normal : (H, W, 3) float32 or None
     roughness : (H, W) float32 or None
-    depth : (H, W) float32 or None
-        0 where nothing was hit.
+    depth, log_depth : (H, W) float32 or None
+        0 where nothing was hit; see `log_depth`.
     depth_unit
         Mean depth of what was hit.
     """
@@ -40,6 +40,7 @@ class Surfaces:
     normal: np.ndarray | None
     roughness: np.ndarray | None
     depth: np.ndarray | None
+    log_depth: np.ndarray | None
     depth_unit: float
 
     def of_rows(self, rows: slice) -> Surfaces:
@@ -48,7 +49,13 @@ class Surfaces:
         def part(image: np.ndarray | None) -> np.ndarray | None:
             return None if image is None else image[rows]
 
-        return Surfaces(part(self.normal), part(self.roughness), part(self.depth), self.depth_unit)
+        return Surfaces(
+            part(self.normal),
+            part(self.roughness),
+            part(self.depth),
+            part(self.log_depth),
+            self.depth_unit,
+        )
 
 
 def tone_map(radiance: np.ndarray, exposure: float, out: np.ndarray) -> np.ndarray:
@@ -174,8 +181,8 @@ def _distances(known: Known, counts: Mapping[str, np.ndarray]) -> Iterator[tuple
     surfaces = known.surfaces
     if surfaces.roughness is not None:
         yield "roughness", surfaces.roughness
-    if surfaces.depth is not None:
+    if surfaces.depth is not None and surfaces.log_depth is not None:
         yield "depth", surfaces.depth / (surfaces.depth + np.float32(surfaces.depth_unit))
-        change = np.clip(counts["output"] - log_depth(surfaces.depth), -1, 1)
+        change = np.clip(counts["output"] - surfaces.log_depth, -1, 1)
         change[counts["past"] <= 0] = 0
         yield "depth.change", change
