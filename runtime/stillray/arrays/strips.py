@@ -96,6 +96,14 @@ class Strips:
         # list() waits for all and raises what any of them raised
         return list(self._pool.map(work, strips))
 
+    def run_even(self, work: Callable[[slice], Result], height: int, width: int) -> list[Result]:
+        """`run`, with strips that begin at an even row: blocks of 2x2 pixels lie whole in one."""
+
+        def strip(blocks: slice) -> Result:
+            return work(slice(2 * blocks.start, min(2 * blocks.stop, height)))
+
+        return self.run(strip, -(-height // 2), width, pixels=STRIP_PIXELS // 2)
+
     def _watched(self, work: Callable[[slice], Result], strips: list[slice]) -> list[Result]:
         assert self._pool is not None
         futures = [self._pool.submit(work, strip) for strip in strips]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from stillray.arrays.strips import STRIP_PIXELS, Strips, pixels_of, planes_of
+from stillray.arrays.strips import Strips, pixels_of, planes_of
 from stillray.families.feature_reconstruction import Past
 from stillray.families.target_grid import Grid
 from stillray.stages.features import luminance
@@ -91,8 +91,7 @@ def _compared(past: Past, shown: Shown, scale: int, strips: Strips) -> np.ndarra
     light = past.accumulated.light
     blocks = np.empty((PLANES, -(-height // 2), -(-width // 2)), np.float32)
 
-    def work(two: slice) -> None:
-        rows = slice(2 * two.start, min(2 * two.stop, height))
+    def work(rows: slice) -> None:
         before = light[scale * rows.start : scale * rows.stop, : scale * width]
         if scale > 1:
             size = (width, rows.stop - rows.start)
@@ -106,9 +105,9 @@ def _compared(past: Past, shown: Shown, scale: int, strips: Strips) -> np.ndarra
             weight,
             planes_of(before, out=planes),
             shown.exposure,
-            blocks[:, two],
+            blocks[:, rows.start // 2 : -(-rows.stop // 2)],
             strips.workspace,
         )
 
-    strips.run(work, blocks.shape[1], width, pixels=STRIP_PIXELS // 2)
+    strips.run_even(work, height, width)
     return blocks
