@@ -160,12 +160,35 @@ def test_pictures_scale_with_their_light(rng, denoiser):
 def test_training_sees_what_the_runtime_does(rng, name, most_blur, sharp, size):
     """The recurrence in PyTorch on the same frames gives the same pictures, at odd sizes too."""
     model = info(name, most_blur=most_blur, sharp=sharp)
-    spec, engine = model.spec, Untrained(name)
-    network = engine.network
     given = [frame(rng, size) for _ in range(4)]
     # the runtime takes another depth for another view, which training does not have
     depths = (np.where(one.depth > 0, 2 + one.depth / 20, 0) for one in given)
     given = [replace(one, depth=depth) for one, depth in zip(given, depths, strict=True)]
+    assert_same_pictures(model, given)
+
+
+@pytest.mark.parametrize("name", BOTH)
+def test_training_lets_go_of_a_past_as_the_runtime_does(rng, name):
+    """A shadow over a part of the frame, then one that is a little darker."""
+    size = (16, 160)
+    depth, still = np.full(size, 3.0), np.zeros((*size, 2))
+    given = []
+    for shade in (1.0, 1.0, 0.2, 0.2, 0.15):
+        light = rng.gamma(16, 1 / 16, (*size, 1)) * np.ones(3)
+        light[:, :14] *= shade
+        given.append(frame(rng, size, color=light, depth=depth, motion=still))
+    kept = assert_same_pictures(info(name, most_blur=0.0), given)
+    # where the light changed, and where it did not: the samples that are held, frame by frame
+    shaded, lit = ([held[..., part].mean() for held in kept] for part in np.s_[2:10, -8:-2])
+    assert shaded[1] > 1.5
+    assert shaded[2] == 1
+    assert lit[2] > lit[1]
+
+
+def assert_same_pictures(model, given):
+    """Denoised by the runtime and by the recurrence; what that accumulates of light, samples."""
+    spec, engine = model.spec, Untrained(model.name)
+    network, kept = engine.network, []
     before, exposure = None, None
     denoiser = Denoiser(model, threads=1, engine=engine)
     for one in given:
@@ -187,6 +210,8 @@ def test_training_sees_what_the_runtime_does(rng, name, most_blur, sharp, size):
         height, width = expected.shape[:2]
         found = image[0, :, :height, :width].permute(1, 2, 0).numpy()
         np.testing.assert_allclose(found, expected, rtol=2e-3, atol=1e-4)
+        kept.append(before.light[0, 3, :height, :width].numpy())
+    return kept
 
 
 def as_training_does(one, spec, exposure):
@@ -202,6 +227,10 @@ def as_training_does(one, spec, exposure):
              "normal": "normal", "roughness": "roughness", "depth": "depth"}  # fmt: skip
     sample = {name: planes(getattr(one, buffer)) for name, buffer in names.items()}
     sample |= {
+        "shown": torch.from_numpy(one.color.transpose(2, 0, 1).copy()),
+        "moved": torch.from_numpy(one.motion.transpose(2, 0, 1).copy()),
+        "rows": torch.from_numpy(grid.rows),
+        "columns": torch.from_numpy(grid.columns),
         "offset": torch.from_numpy(np.stack([right, down])),
         "positions": torch.from_numpy(positions),
         "inside": torch.from_numpy(inside[None].astype(np.float32)),

@@ -18,9 +18,9 @@ from stillray.families.target_grid import Grid
 from stillray.stages.features import luminance
 from stillray.stages.history_rejection import PLANES, Noise, compare, confidence
 
-# The picture and the albedos have no samples of their own that could be worth less: below this
-# share nothing is left of them either, and the pixel begins anew.
-_LEAST = np.float32(0.5)
+#: The picture and the albedos have no samples of their own that could be worth less: below this
+#: share nothing is left of them either, and the pixel begins anew.
+LEAST_SHARE = np.float32(0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +67,7 @@ def reject_history(
     noise
         For the next frame.
     """
-    blocks = _compared(past, shown, grid.scale, strips)
-    held, noise = confidence(blocks, noise, motion, shown.exposure, strips)
+    held, noise = agreement(past.accumulated.light, shown, grid.scale, motion, noise, strips)
     if held is None:
         return noise
     kept = past.accumulated
@@ -77,7 +76,7 @@ def reject_history(
     def work(rows: slice) -> None:
         share = grid.take(held, rows)
         kept.light[rows, :, 3] *= share
-        lost = np.flatnonzero(share < _LEAST)
+        lost = np.flatnonzero(share < LEAST_SHARE)
         for image in images:
             pixels_of(image[rows])[lost] = 0
 
@@ -85,10 +84,42 @@ def reject_history(
     return noise
 
 
-def _compared(past: Past, shown: Shown, scale: int, strips: Strips) -> np.ndarray:
+def agreement(
+    light: np.ndarray,
+    shown: Shown,
+    scale: int,
+    motion: np.ndarray,
+    noise: Noise | None,
+    strips: Strips,
+) -> tuple[np.ndarray | None, Noise]:
+    """How far a frame's samples agree with the light of a past.
+
+    Parameters
+    ----------
+    light : (H, W, 4) float32
+        Radiance and the samples that it is worth, at the pixels of the picture, or of one that goes
+        on to the right and below.
+    shown
+        The frame.
+    scale
+        Pixels of the picture for one of the frame, along each axis.
+    motion, noise, strips
+        As for `reject_history`.
+
+    Returns
+    -------
+    share : (h, w) float32 or None
+        Of the samples of a pixel of the frame, what holds; None where all does.
+    noise
+        For the next frame.
+    """
+    blocks = _compared(light, shown, scale, strips)
+    return confidence(blocks, noise, motion, shown.exposure, strips)
+
+
+def _compared(light: np.ndarray, shown: Shown, scale: int, strips: Strips) -> np.ndarray:
     """What `compare` gives for a whole frame."""
     height, width = shown.color.shape[:2]
-    light = past.accumulated.light
     blocks = np.empty((PLANES, -(-height // 2), -(-width // 2)), np.float32)
 
     def work(rows: slice) -> None:

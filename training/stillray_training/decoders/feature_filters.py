@@ -12,6 +12,7 @@ from torch.nn import functional as F
 
 from stillray.families.feature_reconstruction import Rules
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
+from stillray.stages.history_rejection import Noise
 from stillray_training.decoders.demodulate import divisor
 from stillray_training.decoders.gaussian import gaussian, share_of_bright
 
@@ -37,12 +38,16 @@ class Remembered:
         Means, and the samples that they are worth: 0 where the past is not known.
     output
         The last picture, and the logarithm of its depth.
+    noises
+        Of the samples of each patch, see `stillray_training.upscaling.agreement`; None where nothing
+        was compared yet.
     """
 
     light: Tensor
     albedo: Tensor
     specular: Tensor
     output: Tensor
+    noises: tuple[Noise | None, ...] | None = None
 
 
 def reconstruct(

@@ -270,8 +270,7 @@ class ClipSampler:
                 shades = moving_shade(side, count, rng, scale=self._scale)
             for sample, shade in zip(samples, shades, strict=True):
                 # on the samples as they lie on the picture: each has the light of its place there
-                for name in ("color", "wanted"):
-                    sample[name] = sample[name] * _planes(shade)
+                self._multiply(sample, shade, ["color", "wanted"])
         if recipe.paint_share and rng.random() < recipe.paint_share:
             self._paint(samples, side, rng)
         return samples
@@ -287,8 +286,16 @@ class ClipSampler:
             paints = repainted(shape, len(samples), rng)
             names += ["color", "wanted"]
         for sample, paint in zip(samples, paints, strict=True):
-            for name in names:
-                sample[name] = sample[name] * _planes(paint)
+            self._multiply(sample, paint, names)
+
+    def _multiply(self, sample: Sample, factor: np.ndarray, names: list[str]) -> None:
+        """Multiply what lies on the picture by ``(h, w, 1 or 3)``; with color, the frame's own."""
+        for name in names:
+            sample[name] = sample[name] * _planes(factor)
+        if "color" in names:
+            size = (self._side, self._side)
+            own = cv2.resize(factor, size, interpolation=cv2.INTER_AREA)
+            sample["shown"] = sample["shown"] * _planes(own)
 
     def _fireflies(
         self, reference: np.ndarray, count: int, rng: np.random.Generator
@@ -342,6 +349,10 @@ class ClipSampler:
         return {
             "color": seen(light),
             **{name: seen(image) for name, image in given.items()},
+            "shown": _planes(change.image(light[low])),
+            "moved": _planes(motion),
+            "rows": grid.rows,
+            "columns": grid.columns,
             "offset": np.stack([right, down]).astype(np.float32),
             "positions": positions,
             "inside": inside[None].astype(np.float32),

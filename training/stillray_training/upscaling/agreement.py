@@ -1,0 +1,69 @@
+"""What a past loses where light has changed, in training: the runtime's rule, a constant to gradients.
+
+See `stillray.families.past_agreement`. A patch is compared as if it were a frame, over windows no
+larger than itself: changes that only larger ones tell are not noticed here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stillray.arrays.strips import Strips
+from stillray.families.past_agreement import LEAST_SHARE, Shown, agreement
+from stillray.stages.history_rejection import Noise
+from stillray_training.decoders.feature_filters import Remembered
+
+#: Noise of the samples of each patch, None of one without a past.
+Noises = tuple[Noise | None, ...]
+
+
+def reject_history(
+    past: Remembered, frame: Mapping[str, Tensor], noises: Noises | None, scale: int
+) -> tuple[Remembered, Noises]:
+    """Take from pasts what disagrees with frames.
+
+    Parameters
+    ----------
+    past
+        At the pixels of the pictures.
+    frame
+        Of `stillray_training.upscaling.clips.ClipSampler`.
+    noises
+        What the last frame's call gave, or None.
+    scale
+        Pixels of the picture for one of the frame, along each axis.
+
+    Returns
+    -------
+    past
+        What is left of it.
+    noises
+        For the next frame.
+    """
+    strips = Strips(1)
+    light = past.light.detach().cpu().numpy()
+    given = [frame[name].cpu().numpy() for name in ("shown", "moved", "exposure", "rows", "columns")]
+    shares, after = [], []
+    for patch, (color, motion, exposure, rows, columns) in enumerate(zip(*given, strict=True)):
+        share, noise = agreement(
+            np.ascontiguousarray(light[patch].transpose(1, 2, 0)),
+            Shown(np.ascontiguousarray(color.transpose(1, 2, 0)), None, float(exposure.item())),
+            scale,
+            motion.transpose(1, 2, 0),
+            noises[patch] if noises else None,
+            strips,
+        )
+        after.append(noise)
+        whole = np.ones((len(rows), len(columns)), np.float32)
+        shares.append(whole if share is None else share[rows][:, columns])
+    kept = torch.from_numpy(np.stack(shares)[:, None]).to(past.light)
+    left = kept >= float(LEAST_SHARE)
+    light, albedo, specular, output = (
+        image * left for image in (past.light, past.albedo, past.specular, past.output)
+    )
+    light = torch.cat([light[:, :3], light[:, 3:] * kept], 1)
+    return Remembered(light, albedo, specular, output), tuple(after)
