@@ -39,8 +39,8 @@ class Remembered:
     output
         The last picture, and the logarithm of its depth.
     noises
-        Of the samples of each patch, see `stillray_training.upscaling.agreement`; None where nothing
-        was compared yet.
+        Of the samples of each patch, see `stillray_training.upscaling.agreement`; None where
+        nothing was compared yet.
     """
 
     light: Tensor

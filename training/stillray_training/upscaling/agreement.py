@@ -1,7 +1,8 @@
-"""What a past loses where light has changed, in training: the runtime's rule, a constant to gradients.
+"""What a past loses where light has changed, in training: by the runtime's rule.
 
-See `stillray.families.past_agreement`. A patch is compared as if it were a frame, over windows no
-larger than itself: changes that only larger ones tell are not noticed here.
+See `stillray.families.past_agreement`. To gradients it is a constant. A patch is compared as if it
+were a frame, over windows no larger than itself: changes that only larger ones tell are not
+noticed here.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ def reject_history(
     """
     strips = Strips(1)
     light = past.light.detach().cpu().numpy()
-    given = [frame[name].cpu().numpy() for name in ("shown", "moved", "exposure", "rows", "columns")]
+    names = ("shown", "moved", "exposure", "rows", "columns")
+    given = [frame[name].cpu().numpy() for name in names]
     shares, after = [], []
     for patch, (color, motion, exposure, rows, columns) in enumerate(zip(*given, strict=True)):
         share, noise = agreement(
