@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -47,7 +47,7 @@ class Remembered:
     albedo: Tensor
     specular: Tensor
     output: Tensor
-    noises: tuple[Noise | None, ...] | None = None
+    noises: tuple[Noise | None, ...] | None = field(default=None, kw_only=True)
 
 
 def reconstruct(

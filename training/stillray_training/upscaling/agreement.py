@@ -46,13 +46,13 @@ def reject_history(
         For the next frame.
     """
     strips = Strips(1)
-    light = past.light.detach().cpu().numpy()
+    held = past.light.detach().cpu().numpy()
     names = ("shown", "moved", "exposure", "rows", "columns")
     given = [frame[name].cpu().numpy() for name in names]
     shares, after = [], []
     for patch, (color, motion, exposure, rows, columns) in enumerate(zip(*given, strict=True)):
         share, noise = agreement(
-            np.ascontiguousarray(light[patch].transpose(1, 2, 0)),
+            np.ascontiguousarray(held[patch].transpose(1, 2, 0)),
             Shown(np.ascontiguousarray(color.transpose(1, 2, 0)), None, float(exposure.item())),
             scale,
             motion.transpose(1, 2, 0),

@@ -74,7 +74,7 @@ def step(
     given = Enlarged(frame["color"], frame["albedo"], frame["specular"], frame["exposure"])
     image, (light, albedo, specular) = reconstruct(given, past, outputs, rules)
     output = torch.cat([image, log_depth(frame["depth"])], 1)
-    after = Remembered(light, albedo, specular, output, noises)
+    after = Remembered(light, albedo, specular, output, noises=noises)
     return image, after, None if before is None else past.output[:, :3]
 
 
