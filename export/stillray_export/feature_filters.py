@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from stillray.arrays.strips import Strips
 from stillray.families import feature_reconstruction as runtime
 from stillray.families.feature_filters import FeatureFiltersModel
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 from stillray.model_spec import ModelSpec
 from stillray.models.precision import int8_path, pairs_path
 from stillray.models.registry import WHOLE_SUFFIX, require_fit

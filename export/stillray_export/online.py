@@ -24,7 +24,7 @@ from stillray.errors import InputError
 from stillray.families.filter_network import join
 from stillray.families.online import THINNED
 from stillray.families.online_learning import CROP
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 from stillray.model_spec import ModelSpec, load
 from stillray.model_spec.network_weights import network_weights
 from stillray.models.onnx_file import parse_onnx, read_bytes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from onnx import TensorProto, helper
 
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 from stillray.models.products import FILE
 
 _OPSET, _FORMAT = 18, 9

@@ -39,7 +39,7 @@ from stillray.cli import program
 from stillray.errors import InputError
 from stillray.families.contract import Engine
 from stillray.frame import Frame
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 from stillray.models.precision import int8_path, made_of, pairs_path
 from stillray.models.registry import ModelInfo, find_model, require_fit
 from stillray.models.session import checked

@@ -14,7 +14,7 @@ import typer
 
 from stillray.cli import program
 from stillray.errors import InputError
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 from stillray.model_spec import ModelSpec
 from stillray.models.precision import int8_path, made_of, pairs_path
 from stillray.models.registry import WHOLE_SUFFIX, ModelInfo, find_model

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from stillray.cli import program
 from stillray.errors import InputError
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 from stillray.model_spec import ModelSpec, from_json, load
 from stillray.model_spec.loader import SpecError
 from stillray.models.precision import int8_path, pairs_path

@@ -9,7 +9,8 @@ if TYPE_CHECKING:
     from stillray.batch.api import ShotOptions, denoise_shot
     from stillray.errors import Cancelled, InputError
     from stillray.frame import Frame
-    from stillray.io.exr.read_write import read_exr, write_exr
+    from stillray.io.exr.read import read_exr
+    from stillray.io.exr.write import write_exr
     from stillray.models.registry import list_models
     from stillray.pipeline.denoiser import Denoiser, denoise
 
@@ -37,8 +38,8 @@ _HOME = {
     "denoise": "stillray.pipeline.denoiser",
     "denoise_shot": "stillray.batch.api",
     "list_models": "stillray.models.registry",
-    "read_exr": "stillray.io.exr.read_write",
-    "write_exr": "stillray.io.exr.read_write",
+    "read_exr": "stillray.io.exr.read",
+    "write_exr": "stillray.io.exr.write",
 }
 
 

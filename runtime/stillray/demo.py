@@ -14,7 +14,8 @@ import typer
 from stillray.cli import program
 from stillray.compare.display import display_exposure, tone_map, write_png
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_exr, write_exr
+from stillray.io.exr.read import read_exr
+from stillray.io.exr.write import write_exr
 from stillray.pipeline.denoiser import Denoiser
 
 

@@ -15,7 +15,7 @@ from stillray.batch.resume import Recipe, file_digest
 from stillray.batch.shot import Selection, ShotFrame, plan_shot
 from stillray.cli import main
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_exr, read_metadata
+from stillray.io.exr.read import read_exr, read_metadata
 from stillray.models.registry import find_model
 from tests.batch.dask_processes import dask_processes, wait_for
 from tests.batch.test_resume import write_frame

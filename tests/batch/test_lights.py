@@ -9,7 +9,7 @@ import pytest
 import stillray
 from stillray.batch.lights import denoise_lights
 from stillray.cli import main
-from stillray.io.exr.read_write import read_channels, read_lights
+from stillray.io.exr.read import read_channels, read_lights
 from tests.conftest import make_frame
 
 BLENDER = Path(__file__).parents[1] / "data" / "blender"

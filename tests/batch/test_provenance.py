@@ -5,7 +5,8 @@ import pytest
 
 from stillray.batch.resume import Recipe, file_digest, is_finished, picture_digest
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_exr, read_metadata, write_channels
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_exr, read_metadata
 
 RECIPE = Recipe(model="m", model_digest="aa", options={"temporal": True})
 INPUTS = [{"color": "1", "albedo": "2"}, {"color": "3", "albedo": "4"}]

@@ -14,7 +14,8 @@ import onnx
 import pytest
 
 from stillray.cli import main
-from stillray.io.exr.read_write import read_exr, write_channels
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_exr
 from stillray.models.precision import int8_path
 from stillray.models.registry import find_model
 from tests.conftest import make_frame

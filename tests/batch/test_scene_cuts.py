@@ -8,7 +8,7 @@ import pytest
 
 from stillray.batch.scene_cuts import Agreement, CutDetector
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 
 ROOM = Path(__file__).parents[1] / "data" / "room"
 BUFFERS = ("color", "albedo", "normal", "depth")

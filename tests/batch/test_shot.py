@@ -5,7 +5,7 @@ import pytest
 
 from stillray.batch.shot import Selection, ShotFrame, plan_shot, steps_to_run, window
 from stillray.errors import InputError
-from stillray.io.exr.read_write import write_channels
+from stillray.io.exr.new_file import write_channels
 
 
 def jobs(numbers, folder, *, unwritten=()):

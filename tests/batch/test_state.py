@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from stillray.cli import main
-from stillray.io.exr.read_write import read_picture, write_channels
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_picture
 from tests.conftest import make_frame
 
 

@@ -11,7 +11,8 @@ import pytest
 import stillray
 from stillray.cli import main
 from stillray.errors import InputError
-from stillray.io.exr.read_write import CleanView, read_exr, read_picture, write_views
+from stillray.io.exr.read import read_exr, read_picture
+from stillray.io.exr.write import CleanView, write_views
 from tests.conftest import make_frame
 
 HEIGHT, WIDTH, FRAMES = 33, 42, 4

@@ -13,7 +13,8 @@ import typer
 import stillray
 from stillray import cli
 from stillray.cli import main
-from stillray.io.exr.read_write import read_exr, read_metadata, write_channels
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_exr, read_metadata
 from stillray.model_spec import load
 
 HEIGHT, WIDTH = 33, 18

@@ -12,7 +12,8 @@ import pytest
 
 from stillray.cli import main
 from stillray.cli.oidn_flags import spell_out
-from stillray.io.exr.read_write import read_exr, write_channels
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_exr
 
 HEIGHT, WIDTH = 33, 18
 FAST = ("-m", "fast")

@@ -14,7 +14,8 @@ import stillray
 from stillray import cli
 from stillray.compare import metrics
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_channels, read_exr, write_channels
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_channels, read_exr
 from stillray.models.registry import find_model, with_overrides
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training import tradeoff

@@ -16,7 +16,9 @@ from stillray.compare.metrics import Metric
 from stillray.compare.pixels import box_average, pack_radiance
 from stillray.compare.sources import pair
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_exr, write_channels, write_exr
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_exr
+from stillray.io.exr.write import write_exr
 from stillray.io.pfm import write_pfm
 from tests.io.odd_exr import OddPart, exr
 

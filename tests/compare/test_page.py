@@ -22,7 +22,7 @@ from playwright.sync_api import expect, sync_playwright
 from stillray.cli import main
 from stillray.compare import metrics
 from stillray.compare.display import display_exposure, tone_map
-from stillray.io.exr.read_write import write_channels
+from stillray.io.exr.new_file import write_channels
 
 HEIGHT, WIDTH = 30, 44
 NAMES = ["psnr", "ssim", "smape", "relmse", "flip"]

@@ -13,7 +13,8 @@ pytest.importorskip("onnx")
 
 import stillray  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
-from stillray.io.exr.read_write import read_exr, write_channels  # noqa: E402
+from stillray.io.exr.new_file import write_channels  # noqa: E402
+from stillray.io.exr.read import read_exr  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray_export import feature_filters, to_onnx  # noqa: E402
 from stillray_export.parity import ParityError  # noqa: E402

@@ -14,7 +14,7 @@ from stillray.cli import main
 from stillray.errors import InputError
 from stillray.families import kernel_pyramid as pyramid
 from stillray.families.views import VIEWS, mean_picture
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray.model_spec import load
 from stillray.models.steps import in_numbers
 from stillray.stages.state import Filterable

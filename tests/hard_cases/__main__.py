@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 
 import stillray
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 from tests import worst_errors
 from tests.conftest import NotAccumulatedError
 from tests.hard_cases.case import Case

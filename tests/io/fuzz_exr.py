@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))  # as a program it is no part
 
 from stillray.batch.file_layout import CleanPicture, Layout
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_channels
+from stillray.io.exr.read import read_channels
 from tests.io.odd_exr import oddity
 
 BLENDER = Path(__file__).parents[1] / "data/blender/frame_0001.exr"

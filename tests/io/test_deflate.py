@@ -10,7 +10,8 @@ import pytest
 from stillray.errors import InputError
 from stillray.io.exr.container import read_container
 from stillray.io.exr.deflate import is_plain, read_planes, replace_planes
-from stillray.io.exr.read_write import write_channels, write_exr
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.write import write_exr
 
 SIZES = [(1, 1), (33, 18), (16, 5), (50, 131)]
 NAMES = ("B", "G", "R", "depth.Z", "id.X", "mask.Y")

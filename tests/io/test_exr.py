@@ -8,14 +8,9 @@ import OpenImageIO as oiio  # noqa: N813
 import pytest
 
 from stillray.errors import InputError
-from stillray.io.exr.read_write import (
-    read_channels,
-    read_exr,
-    read_metadata,
-    write_channels,
-    write_color,
-    write_exr,
-)
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_channels, read_exr, read_metadata
+from stillray.io.exr.write import write_color, write_exr
 
 HEIGHT, WIDTH = 33, 18
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_exr, write_channels
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_exr
 
 # STILLRAY_FUZZ=10000 for the long run
 MUTATIONS = int(os.environ.get("STILLRAY_FUZZ", "300"))

@@ -12,7 +12,9 @@ from stillray.cli import main
 from stillray.errors import InputError
 from stillray.io.channels.roles import parse_overrides
 from stillray.io.exr.jitter import JITTER_ATTRIBUTE, jitter_text
-from stillray.io.exr.read_write import read_exr, read_metadata, write_channels, write_exr
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_exr, read_metadata
+from stillray.io.exr.write import write_exr
 from tests.conftest import make_frame
 
 MANUAL = Path(__file__).parents[2] / "docs" / "command-line.md"

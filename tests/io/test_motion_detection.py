@@ -11,7 +11,8 @@ import stillray
 from stillray.cli import main
 from stillray.io.channels.motion_convention import MotionConvention
 from stillray.io.channels.motion_detection import detect_in_sequence, detect_motion, needs_proof
-from stillray.io.exr.read_write import read_exr, read_picture, write_channels
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_exr, read_picture
 
 BLENDER = Path(__file__).parents[1] / "data/blender"
 ROOM = Path(__file__).parents[1] / "data/room"

@@ -10,8 +10,10 @@ import pytest
 import stillray
 from stillray.cli import main
 from stillray.errors import InputError
+from stillray.io.exr.new_file import write_channels
 from stillray.io.exr.pixel_filter import FILTER_ATTRIBUTE
-from stillray.io.exr.read_write import read_exr, read_picture, write_channels, write_exr
+from stillray.io.exr.read import read_exr, read_picture
+from stillray.io.exr.write import write_exr
 from stillray.models.registry import find_model
 from stillray.pixel_filter import filter_sharpness, filter_spread, parse_filter
 from tests.conftest import make_frame

@@ -8,7 +8,7 @@ import pytest
 
 from stillray.cli import main
 from stillray.io.exr.container import read_container
-from stillray.io.exr.read_write import read_exr, read_picture
+from stillray.io.exr.read import read_exr, read_picture
 
 BLENDER = Path(__file__).parents[1] / "data/blender"
 

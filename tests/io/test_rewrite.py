@@ -10,13 +10,8 @@ import pytest
 import stillray
 from stillray.errors import InputError
 from stillray.io.exr.container import read_container
-from stillray.io.exr.read_write import (
-    expected_changes,
-    read_exr,
-    read_metadata,
-    read_picture,
-    write_exr,
-)
+from stillray.io.exr.read import read_exr, read_metadata, read_picture
+from stillray.io.exr.write import expected_changes, write_exr
 
 BLENDER = Path(__file__).parents[1] / "data/blender/frame_0002.exr"
 HEIGHT, WIDTH = 67, 45

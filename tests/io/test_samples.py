@@ -10,15 +10,11 @@ from stillray.batch.file_layout import Layout, Told
 from stillray.cli import main
 from stillray.errors import InputError
 from stillray.io.channels.roles import find_layers, parse_overrides
-from stillray.io.exr.read_write import (
-    ExrFile,
-    read_exr,
-    read_metadata,
-    read_picture,
-    write_channels,
-    write_exr,
-)
+from stillray.io.exr.file import ExrFile
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_exr, read_metadata, read_picture
 from stillray.io.exr.samples import find_samples
+from stillray.io.exr.write import write_exr
 
 BLENDER = Path(__file__).parents[1] / "data/blender/frame_0001.exr"
 HEIGHT, WIDTH = 12, 17

@@ -5,7 +5,8 @@ import pytest
 
 from stillray.cli import main
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_exr, write_channels
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_exr
 from tests.conftest import make_frame
 
 

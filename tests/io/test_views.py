@@ -10,7 +10,8 @@ from stillray.cli import main
 from stillray.errors import InputError
 from stillray.io.channels.roles import find_layers
 from stillray.io.exr.file import ExrFile
-from stillray.io.exr.read_write import read_exr, read_picture, write_exr
+from stillray.io.exr.read import read_exr, read_picture
+from stillray.io.exr.write import write_exr
 from tests.io.odd_exr import OddPart, exr
 
 SHAPE = (20, 24)

@@ -12,7 +12,7 @@ import stillray
 from stillray.compare.display import display_exposure, tone_map
 from stillray.errors import InputError
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray.models import precision
 from stillray.models.registry import find_model, list_models
 from stillray.models.session import read_checked

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillray.io.exr.read_write import read_exr, read_metadata, write_exr
+from stillray.io.exr.read import read_exr, read_metadata
+from stillray.io.exr.write import write_exr
 from stillray.io.pfm import read_pfm, write_pfm
 from stillray.oidn.command import main
 from tests.conftest import clean_color, make_frame

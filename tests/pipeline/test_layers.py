@@ -8,7 +8,8 @@ import pytest
 import stillray
 from stillray.cli import main
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_channels, read_exr, write_channels
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_channels, read_exr
 from tests.conftest import make_frame
 
 HEIGHT, WIDTH = 45, 38

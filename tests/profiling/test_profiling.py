@@ -12,7 +12,7 @@ import stillray
 from stillray import cli
 from stillray.arrays.strips import planes_of
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray.model_spec import load
 from stillray.models.registry import find_model
 from stillray.profiling import measure as measuring

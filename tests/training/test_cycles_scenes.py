@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from tests.training.test_cycles_sequences import in_blender, render
 
 AGAINST_WINDOWS = 7  # a seed whose camera sees two of them, with muntins

@@ -15,7 +15,7 @@ pytest.importorskip("pyoidn", reason="targets are of the extra compare")
 
 from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
-from stillray.io.exr.read_write import read_exr  # noqa: E402
+from stillray.io.exr.read import read_exr  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray.pixel_filter import filter_spread  # noqa: E402
 from stillray_training.blender.record import RECORD, TAKEN  # noqa: E402

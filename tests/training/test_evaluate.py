@@ -11,7 +11,8 @@ pytest.importorskip("skimage")
 
 from stillray.compare import metrics
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_exr, write_channels
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_exr
 from stillray_training.evaluate import __main__ as evaluate
 from stillray_training.evaluate import methods, report, scores
 from stillray_training.film import film_variance, through_film

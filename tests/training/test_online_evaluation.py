@@ -10,7 +10,8 @@ pytest.importorskip("torch")
 import cv2
 
 from stillray.errors import InputError
-from stillray.io.exr.read_write import write_channels, write_exr
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.write import write_exr
 from stillray.profiling import plot
 from stillray_training.online import curves, evaluate, still_frames, to_and_fro
 from tests.conftest import clean_color, make_frame

@@ -12,7 +12,8 @@ torch = pytest.importorskip("torch", reason="training is of the extra train")
 from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.batch.file_layout import Told  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
-from stillray.io.exr.read_write import read_exr, write_channels  # noqa: E402
+from stillray.io.exr.new_file import write_channels  # noqa: E402
+from stillray.io.exr.read import read_exr  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray_training.evaluate.cases import find_cases  # noqa: E402
 from stillray_training.examples import find_sequences, load_examples  # noqa: E402

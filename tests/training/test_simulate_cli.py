@@ -15,7 +15,7 @@ import numpy as np
 from stillray.batch import farm
 from stillray.cli import program
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_channels
+from stillray.io.exr.read import read_channels
 from stillray_training.simulate import __main__ as command
 from stillray_training.simulate.recipe import read_recipe
 from stillray_training.simulate.report import contact_sheet, write_report

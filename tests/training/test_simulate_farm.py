@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("mitsuba")
 pytest.importorskip("distributed")
 
-from stillray.io.exr.read_write import read_channels
+from stillray.io.exr.read import read_channels
 from stillray_training.simulate.farm import run_farm, run_here
 from stillray_training.simulate.jobs import Job
 from stillray_training.simulate.sequence import SequenceOptions, is_complete

@@ -10,7 +10,7 @@ pytest.importorskip("mitsuba")
 from dataclasses import replace
 
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_channels, read_exr
+from stillray.io.exr.read import read_channels, read_exr
 from stillray_training.examples import find_sequences
 from stillray_training.simulate import buffers, trace, variant
 from stillray_training.simulate.jobs import Job, run_job

@@ -12,7 +12,8 @@ torch = pytest.importorskip("torch")
 
 from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
-from stillray.io.exr.read_write import read_exr, write_channels  # noqa: E402
+from stillray.io.exr.new_file import write_channels  # noqa: E402
+from stillray.io.exr.read import read_exr  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray.models.registry import list_models  # noqa: E402
 from stillray.pixel_filter import filter_spread  # noqa: E402

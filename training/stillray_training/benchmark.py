@@ -21,7 +21,7 @@ import typer
 from stillray.arrays.strips import available_threads
 from stillray.cli import program
 from stillray.cli.output import status
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 from stillray.models.registry import DEFAULT_MODEL, list_models
 from stillray.profiling.clip import MADE_UP, Clip, open_clip
 from stillray.profiling.cost import stage_costs

@@ -25,7 +25,9 @@ from stillray.batch.shot import plan_shot, steps_to_run
 from stillray.cli import program
 from stillray.families.temporal_kernels import MEMORY_FRAMES
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_exr, write_channels, write_exr
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_exr
+from stillray.io.exr.write import write_exr
 from stillray.pipeline.denoiser import Denoiser
 
 SEQUENCE = Path("tests/data/room")

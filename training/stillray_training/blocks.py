@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray_training.simulate.sequence import RECORD
 
 _FEW = 8.0  # samples below which a frame's guides are those of one block, as noisy as its light

@@ -20,7 +20,7 @@ from stillray.batch.file_layout import Layout
 from stillray.cli import program
 from stillray.errors import InputError
 from stillray.frame import Frame
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 from stillray.pixel_filter import cycles_spread
 from stillray_training.blender.record import RECORD as RENDERED
 from stillray_training.blender.record import TAKEN

@@ -25,7 +25,8 @@ from stillray.errors import InputError
 from stillray.families import bilateral_grid as grid
 from stillray.families import box_filter as kernels
 from stillray.families.contract import Engine
-from stillray.io.exr.read_write import atomic_path, read_exr
+from stillray.io.atomic import atomic_path
+from stillray.io.exr.read import read_exr
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import BilateralGrids, FusedKernels
 from stillray.models.registry import find_model

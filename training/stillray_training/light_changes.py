@@ -13,7 +13,7 @@ from rich.progress import track
 
 from stillray.arrays.strips import Strips
 from stillray.cli import program
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray.model_spec import load
 from stillray.stages.prepare import prepare
 from stillray.stages.state import History

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 
 LOG = "log.csv"
 LOG_EVERY = 20  # steps

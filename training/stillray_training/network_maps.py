@@ -25,7 +25,7 @@ from stillray.errors import InputError
 from stillray.families.contract import Engine
 from stillray.families.depth_to_space import DepthToSpace
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import BilateralGrids, FusedKernels, ImportanceNetwork
 from stillray.pipeline.denoiser import Denoiser

@@ -18,7 +18,7 @@ import typer
 from stillray.cli import program
 from stillray.compare.display import display_exposure, tone_map
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 
 _BRIGHTEST = 1e-3  # share of the pixels
 _CAP = 16.0  # times the median: radiance above it is outlier to robust accumulation

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torch.utils._pytree import tree_map
 
 from stillray.arrays.strips import Strips
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 from stillray.model_spec import ModelSpec
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.examples import (

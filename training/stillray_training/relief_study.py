@@ -21,7 +21,7 @@ from rich.table import Table
 from stillray.cli import program
 from stillray.compare import metrics
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray.model_spec.loader import Relief
 from stillray.models.registry import find_model
 from stillray.pipeline.denoiser import Denoiser

@@ -20,7 +20,7 @@ from rich.progress import track
 from stillray.cli import program
 from stillray.compare.display import display_exposure, tone_map
 from stillray.errors import InputError
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray.pixel_filter import filter_spread
 from stillray_training.blocks import mean_frame, read_blocks
 from stillray_training.peers.oidn import open_image_denoise

@@ -16,7 +16,7 @@ import numpy as np
 from stillray.arrays.strips import available_threads
 from stillray.compare import metrics
 from stillray.compare.metrics import METRICS, Metric
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray.models.registry import ModelInfo, find_model, with_overrides
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.evaluate.cases import find_scenes, last_referenced

@@ -14,7 +14,7 @@ import torch
 from onnx import TensorProto, helper
 from torch import Tensor
 
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 from stillray.model_spec.network_outputs import network_outputs
 from stillray.models.frame_graph import FRAME_SUFFIX, PORTS_KEY, SPATIAL_SUFFIX, Ports
 from stillray.models.registry import PROVENANCE_KEY, SPEC_KEY, ModelInfo

@@ -18,7 +18,7 @@ from stillray.cli import program
 from stillray.errors import InputError
 from stillray.families.frame_graph import Remembered
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray.io.file_sequence import expand
 from stillray.models.registry import ModelInfo, find_frame_model, find_model
 from stillray.pipeline.denoiser import Denoiser

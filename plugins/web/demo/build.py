@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 
 HERE = Path(__file__).parent
 _BUFFERS = ("color", "albedo", "normal", "depth", "motion")

@@ -14,16 +14,10 @@ from stillray.frame import Frame
 from stillray.io.channels.motion_detection import Detection, detect_in_sequence
 from stillray.io.channels.roles import JITTER
 from stillray.io.exr.jitter import JITTER_ATTRIBUTE
-from stillray.io.exr.read_write import (
-    CleanView,
-    colors_beside,
-    expected_changes,
-    read_lights,
-    write_color,
-    write_exr,
-    write_views,
-)
+from stillray.io.exr.layers import colors_beside
+from stillray.io.exr.read import read_lights
 from stillray.io.exr.views import VIEW
+from stillray.io.exr.write import CleanView, expected_changes, write_color, write_exr, write_views
 from stillray.io.frame_file import read_frame, views_to_denoise
 from stillray.io.image_file import is_float_map, kind_of_map, write_image
 

@@ -29,7 +29,7 @@ def denoise_lights(
     frame
         The buffers.
     layers
-        By name, from `stillray.io.exr.read_write.read_lights`. Light whose colour is not among
+        By name, from `stillray.io.exr.read.read_lights`. Light whose colour is not among
         them is filtered as it is.
 
     Returns

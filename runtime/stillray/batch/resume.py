@@ -122,9 +122,9 @@ def is_finished(output: Path, digest: str, layers: Sequence[Mapping[str, str]] =
     digest
         What it must hold, see `Recipe.digest`.
     layers
-        As each view of its source was read with, see `stillray.io.exr.read_write.read_exr`.
+        As each view of its source was read with, see `stillray.io.exr.read.read_exr`.
     """
-    from stillray.io.exr.read_write import read_metadata, read_picture
+    from stillray.io.exr.read import read_metadata, read_picture
 
     try:
         written: Any = read_metadata(output)

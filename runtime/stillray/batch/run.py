@@ -99,7 +99,7 @@ def remove_leftovers(jobs: Sequence[ShotFrame]) -> None:
     """
     outputs = [job.output for job in jobs if job.output is not None]
     for folder in {output.parent for output in outputs}:
-        # as `stillray.io.exr.read_write.atomic_path` names them: .NAME.RANDOM.part
+        # as `stillray.io.atomic.atomic_path` names them: .NAME.RANDOM.part
         prefixes = tuple(f".{output.name}." for output in outputs if output.parent == folder)
         for path in folder.glob(".*.part"):
             if path.name.startswith(prefixes):

@@ -94,7 +94,7 @@ def _frame(job: ShotFrame, step: RunStep | None) -> dict[str, Any]:
 
 def _layers(job: ShotFrame, layout: Layout) -> dict[str, Any]:
     from stillray.io.channels.roles import find_alone, find_layers
-    from stillray.io.exr.read_write import ExrFile
+    from stillray.io.exr.file import ExrFile
     from stillray.io.image_file import is_float_map
 
     proven = layout.detection is not None and layout.detection.convention is not None

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from stillray.frame import Frame
     from stillray.io.channels.motion_detection import Detection
     from stillray.io.channels.roles import LayerMatch
+    from stillray.io.exr.file import ExrFile
     from stillray.io.exr.pixel_filter import FilterSource
-    from stillray.io.exr.read_write import ExrFile
     from stillray.io.exr.samples import SampleSource
     from stillray.model_spec import ModelSpec
 
@@ -60,7 +60,7 @@ def info(
         _show(_graph(file), as_json, _print_graph)
         return
     from stillray.io.channels.roles import parse_overrides
-    from stillray.io.exr.read_write import ExrFile
+    from stillray.io.exr.file import ExrFile
     from stillray.io.exr.views import VIEW
     from stillray.io.file_sequence import expand
     from stillray.io.image_file import is_float_map
@@ -154,8 +154,10 @@ def _print_stored(facts: dict[str, Any]) -> None:
 def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[str, Any]:
     from stillray.io.channels.motion_detection import detect_in_sequence
     from stillray.io.channels.roles import JITTER, find_layers
+    from stillray.io.exr.file import ExrFile
+    from stillray.io.exr.layers import require_color
     from stillray.io.exr.pixel_filter import find_filter
-    from stillray.io.exr.read_write import ExrFile, read_exr, require_color
+    from stillray.io.exr.read import read_exr
     from stillray.io.exr.samples import find_samples
     from stillray.io.exr.views import VIEW
 

@@ -11,7 +11,7 @@ import numpy as np
 from stillray.errors import InputError
 from stillray.io.channels.roles import find_layers
 from stillray.io.exr.file import ExrFile
-from stillray.io.exr.read_write import require_color
+from stillray.io.exr.layers import require_color
 from stillray.io.exr.views import VIEW
 from stillray.io.frame_file import read_frame
 from stillray.io.image_file import is_float_map

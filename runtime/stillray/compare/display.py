@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 
 MAX_EXPOSURE = 8.0
 DISPLAY_MEDIAN = 0.2  # where the median of a picture is shown; 1 is white

@@ -22,7 +22,7 @@ from stillray.compare.pixels import box_average, pack_map, pack_radiance
 from stillray.compare.sources import FrameFiles, Sources
 from stillray.compare.view_transform import aces_view
 from stillray.errors import InputError
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 
 _SCRIPTS = ("decode.js", "shade.js", "stage.js", "tables.js", "viewer.js")
 _PIXELS_HERE = "<!-- pixels -->"

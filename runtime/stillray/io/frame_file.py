@@ -14,7 +14,8 @@ from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.channels.motion_convention import MotionConvention
 from stillray.io.exr.file import ExrFile
-from stillray.io.exr.read_write import check_layer, read_exr
+from stillray.io.exr.layers import check_layer
+from stillray.io.exr.read import read_exr
 from stillray.io.exr.views import VIEW
 from stillray.io.image_file import check_suffix, is_float_map, read_image
 

@@ -10,7 +10,8 @@ import numpy as np
 from stillray.errors import InputError
 from stillray.io.channels.roles import find_alone, gather
 from stillray.io.exr.file import ExrFile
-from stillray.io.exr.read_write import read_exr, write_color
+from stillray.io.exr.read import read_exr
+from stillray.io.exr.write import write_color
 from stillray.io.pfm import SUFFIXES as FLOAT_MAPS
 from stillray.io.pfm import read_pfm, write_pfm
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_exr, write_channels
+from stillray.io.exr.new_file import write_channels
+from stillray.io.exr.read import read_exr
 from stillray.io.file_sequence import expand
 from stillray.model_spec import ModelSpec
 from stillray.profiling.synthetic import swing, tiled

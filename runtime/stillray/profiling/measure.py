@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from stillray.families.frame_graph import FRAME
-from stillray.io.exr.read_write import read_exr, write_exr
+from stillray.io.exr.read import read_exr
+from stillray.io.exr.write import write_exr
 from stillray.models.registry import ModelInfo
 from stillray.pipeline.denoiser import Denoiser
 from stillray.profiling.clip import Clip, open_clip, write_frame

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stillray.errors import InputError
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 from stillray.profiling.measure import ORDER, TOTAL
 from stillray.profiling.report import title
 from stillray.profiling.results import Result

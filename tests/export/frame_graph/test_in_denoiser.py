@@ -24,7 +24,8 @@ from stillray.batch.chunks import denoise_chunk, split  # noqa: E402
 from stillray.cli import main  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
 from stillray.frame import Frame  # noqa: E402
-from stillray.io.exr.read_write import read_exr, read_picture, write_channels  # noqa: E402
+from stillray.io.exr.new_file import write_channels  # noqa: E402
+from stillray.io.exr.read import read_exr, read_picture  # noqa: E402
 from stillray.models.frame_graph import PORTS_KEY  # noqa: E402
 from stillray.models.frame_session import FrameSession, device_of  # noqa: E402
 from stillray.models.registry import with_overrides  # noqa: E402

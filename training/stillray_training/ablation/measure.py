@@ -19,7 +19,8 @@ from torch import nn
 from stillray.compare import metrics
 from stillray.compare.display import display_exposure, tone_map, write_png
 from stillray.frame import Frame
-from stillray.io.exr.read_write import atomic_path, read_exr
+from stillray.io.atomic import atomic_path
+from stillray.io.exr.read import read_exr
 from stillray.models.registry import read_model
 from stillray.pipeline.denoiser import Denoiser
 from stillray.profiling.machine import describe

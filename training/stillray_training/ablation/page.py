@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from stillray.compare.metrics import METRICS as ALL_METRICS
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 from stillray.model_spec import load
 from stillray.model_spec.loader import Training
 from stillray_training.ablation.claims import (

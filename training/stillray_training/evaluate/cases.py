@@ -2,7 +2,7 @@
 
 ``<scene>/frame_0000.exr, ...`` is a sequence, and ``<scene>/ref_0005.exr`` the reference of its
 frame 5. ``spp/<scene>/<n>/frame_0005.exr`` is that frame with ``n`` samples a pixel. What a file
-holds is what `stillray.io.exr.read_write.read_exr` finds in it.
+holds is what `stillray.io.exr.read.read_exr` finds in it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from stillray.errors import InputError
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray_training.film import film_variance, frame_through_film, through_film, widened
 from stillray_training.simulate.sequence import RECORD
 from stillray_training.targets import read_filter

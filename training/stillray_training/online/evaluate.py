@@ -37,7 +37,7 @@ from stillray.families.cross_bilateral import Estimates
 from stillray.families.online import OnlineModel
 from stillray.families.registry import FAMILIES
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_exr, read_picture
+from stillray.io.exr.read import read_exr, read_picture
 from stillray.io.file_sequence import expand, map_companions
 from stillray.pipeline.denoiser import Denoiser
 from stillray.profiling.plot import require_drawable

@@ -22,7 +22,7 @@ from stillray.cli import program
 from stillray.compare.metrics import evaluate
 from stillray.errors import InputError
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.online.evaluate import METRICS, read_reference, without_learning
 

@@ -36,7 +36,7 @@ from stillray.families.online import THINNED, OnlineModel
 from stillray.families.online_learning import Learned
 from stillray.families.registry import FAMILIES
 from stillray.io.atomic import atomic_path
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray.model_spec import ModelSpec, load
 from stillray.model_spec.network_weights import Shapes, network_weights
 from stillray.pipeline.denoiser import Denoiser

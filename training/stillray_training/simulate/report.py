@@ -14,7 +14,8 @@ import typer
 
 from stillray.cli import program
 from stillray.errors import InputError
-from stillray.io.exr.read_write import atomic_path, read_channels
+from stillray.io.atomic import atomic_path
+from stillray.io.exr.read import read_channels
 from stillray_training.simulate.effects import EFFECTS
 from stillray_training.simulate.sequence import RECORD, is_complete
 

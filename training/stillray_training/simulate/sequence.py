@@ -15,8 +15,9 @@ from scipy.stats import qmc
 
 from stillray.compare.display import DISPLAY_MEDIAN
 from stillray.errors import InputError
+from stillray.io.atomic import atomic_path
 from stillray.io.exr.jitter import JITTER_ATTRIBUTE, jitter_text
-from stillray.io.exr.read_write import atomic_path, write_channels
+from stillray.io.exr.new_file import write_channels
 from stillray_training.simulate import buffers
 from stillray_training.simulate.assets import Library
 from stillray_training.simulate.camera import Camera, look_at

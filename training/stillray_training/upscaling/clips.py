@@ -15,7 +15,7 @@ from stillray.arrays.strips import Strips
 from stillray.errors import InputError
 from stillray.families.target_grid import Grid, dilated
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.loader import FeatureFilters, Training
 from stillray.stages import features

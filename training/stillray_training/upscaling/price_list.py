@@ -25,7 +25,7 @@ from stillray.cli import program
 from stillray.compare import metrics
 from stillray.errors import InputError
 from stillray.frame import Frame
-from stillray.io.exr.read_write import read_exr
+from stillray.io.exr.read import read_exr
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.blocks import frames_of
 from stillray_training.examples import find_sequences

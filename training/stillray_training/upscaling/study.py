@@ -30,7 +30,8 @@ from stillray.cli import program
 from stillray.compare import metrics
 from stillray.compare.metrics import METRICS
 from stillray.errors import InputError
-from stillray.io.exr.read_write import atomic_path, read_exr
+from stillray.io.atomic import atomic_path
+from stillray.io.exr.read import read_exr
 from stillray.model_spec import ModelSpec, load
 from stillray.model_spec.loader import BranchNetwork
 from stillray.models.session import open_session

@@ -19,7 +19,7 @@ import typer
 from stillray.arrays.strips import available_threads
 from stillray.cli import program
 from stillray.errors import InputError
-from stillray.io.exr.read_write import atomic_path
+from stillray.io.atomic import atomic_path
 from stillray.pipeline.denoiser import Denoiser
 from stillray.profiling.clip import Clip, open_clip
 from stillray.profiling.machine import describe
