@@ -16,7 +16,7 @@ from stillray.families import box_filter as kernels
 from stillray.families import kernel_pyramid as pyramid
 from stillray.families import pyramid_logits as pyramid_layout
 from stillray.model_spec import load
-from stillray.model_spec.loader import FusedKernels, PyramidKernels
+from stillray.model_spec.decoders import FusedKernels, PyramidKernels
 from stillray.stages import (
     accumulate,
     albedo_history,

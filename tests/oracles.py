@@ -9,7 +9,8 @@ import numpy as np
 
 from stillray.families.feature_reconstruction import Rules
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
-from stillray.model_spec.loader import BilateralGrids, FusedKernels, PyramidKernels, Temporal
+from stillray.model_spec.decoders import BilateralGrids, FusedKernels, PyramidKernels
+from stillray.model_spec.stages import Temporal
 from stillray.stages import lamps
 from stillray.stages import relief as stage
 

@@ -23,7 +23,7 @@ from stillray.cli import program
 from stillray.errors import InputError
 from stillray.io.atomic import atomic_path
 from stillray.model_spec import ModelSpec, from_json, load
-from stillray.model_spec.loader import SpecError
+from stillray.model_spec.rules import SpecError
 from stillray.models.precision import int8_path, pairs_path
 from stillray.models.registry import WHOLE_SUFFIX, find_model, require_fit
 from stillray.models.session import checked

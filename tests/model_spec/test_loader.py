@@ -7,7 +7,7 @@ import json
 import pytest
 
 from stillray.model_spec import SpecError, from_json, load, parse
-from stillray.model_spec.loader import Training
+from stillray.model_spec.training import Training
 
 _OPTIONAL = {
     field.name for field in dataclasses.fields(Training) if field.default is not dataclasses.MISSING

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillray.model_spec.loader import FEATURES
+from stillray.model_spec.planes import FEATURES
 from stillray.stages import features as encode
 
 

@@ -11,7 +11,8 @@ from stillray.arrays.strips import Strips
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.model_spec import load
-from stillray.model_spec.loader import SpecError, from_json
+from stillray.model_spec.loader import from_json
+from stillray.model_spec.rules import SpecError
 from stillray.stages.decide import Wants, decide
 from stillray.stages.outliers import remove_outliers
 from stillray.stages.prepare import prepare

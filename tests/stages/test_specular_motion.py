@@ -8,7 +8,7 @@ import pytest
 import stillray
 from stillray import Frame
 from stillray.arrays.strips import Strips
-from stillray.model_spec.loader import Demodulate
+from stillray.model_spec.stages import Demodulate
 from stillray.stages import decide
 from stillray.stages.specular_motion import Surfaces, camera_motion, has_mirrors, virtual_motion
 from tests.conftest import remembered

@@ -18,7 +18,8 @@ from stillray.families import box_filter as kernels  # noqa: E402
 from stillray.families.registry import kernels_of  # noqa: E402
 from stillray.frame import Frame  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
-from stillray.model_spec.loader import FusedKernels, ImportanceNetwork, PyramidNetwork  # noqa: E402
+from stillray.model_spec.decoders import FusedKernels  # noqa: E402
+from stillray.model_spec.networks import ImportanceNetwork, PyramidNetwork  # noqa: E402
 from stillray.stages.prepare import prepare  # noqa: E402
 from stillray_training.ablation import __main__ as command  # noqa: E402
 from stillray_training.ablation import claims, measure, results, study, variants  # noqa: E402

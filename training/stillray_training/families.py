@@ -10,12 +10,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import (
-    BilateralGrids,
-    FusedKernels,
-    ImportanceNetwork,
-    PyramidKernels,
-)
+from stillray.model_spec.decoders import BilateralGrids, FusedKernels, PyramidKernels
+from stillray.model_spec.networks import ImportanceNetwork
 from stillray_training.decoders.bilateral_grids import bilateral_grids
 from stillray_training.decoders.boxes import BoxMean
 from stillray_training.decoders.fused_kernels import fused_kernels

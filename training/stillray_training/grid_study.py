@@ -28,7 +28,7 @@ from stillray.families.contract import Engine
 from stillray.io.atomic import atomic_path
 from stillray.io.exr.read import read_exr
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import BilateralGrids, FusedKernels
+from stillray.model_spec.decoders import BilateralGrids, FusedKernels
 from stillray.models.registry import find_model
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.evaluate.cases import find_scenes, last_referenced

@@ -19,7 +19,7 @@ from rich.table import Table
 
 from stillray.cli import program
 from stillray.frame import Frame
-from stillray.model_spec.loader import Lamps
+from stillray.model_spec.stages import Lamps
 from stillray.models.registry import ModelInfo, find_model
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.peers import find_peer

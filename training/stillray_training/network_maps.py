@@ -27,7 +27,8 @@ from stillray.families.depth_to_space import DepthToSpace
 from stillray.frame import Frame
 from stillray.io.exr.read import read_exr
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import BilateralGrids, FusedKernels, ImportanceNetwork
+from stillray.model_spec.decoders import BilateralGrids, FusedKernels
+from stillray.model_spec.networks import ImportanceNetwork
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.blocks import frame_paths
 from stillray_training.error_places import edges_of

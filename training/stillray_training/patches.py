@@ -8,7 +8,7 @@ import numpy as np
 
 from stillray.errors import InputError
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import PIXEL_FILTER
+from stillray.model_spec.planes import PIXEL_FILTER
 from stillray.stages import features as encode
 from stillray_training.examples import NOISY, QUIET, STILL, Example
 

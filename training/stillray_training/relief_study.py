@@ -22,7 +22,7 @@ from stillray.cli import program
 from stillray.compare import metrics
 from stillray.errors import InputError
 from stillray.io.exr.read import read_exr
-from stillray.model_spec.loader import Relief
+from stillray.model_spec.stages import Relief
 from stillray.models.registry import find_model
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.blocks import frame_paths, read_blocks

@@ -10,7 +10,7 @@ import numpy as np
 
 from stillray.errors import InputError
 from stillray.frame import Frame
-from stillray.model_spec.loader import Training
+from stillray.model_spec.training import Training
 from stillray_training.blocks import frames_of, read_blocks
 from stillray_training.small_lamps import draw_lamps, lit_frame, lit_reference
 from stillray_training.targets import read_filter, read_target

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import nn
 
-from stillray.model_spec.loader import Training
+from stillray.model_spec.training import Training
 from stillray_training.muon import Muon
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from stillray.model_spec.loader import Temporal
+from stillray.model_spec.stages import Temporal
 from stillray.stages.accumulate import DARK, FIRST_SHARE, MIN_WEIGHT
 
 _HUGE = 1e37

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stillray.errors import InputError
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import PIXEL_FILTER
+from stillray.model_spec.planes import PIXEL_FILTER
 from stillray.pixel_filter import BOX_SPREAD, SOFT_SPREAD
 from stillray.stages.features import FILTER_MIDDLE, FILTER_RANGE
 from stillray_export.frame_graph.light import tone_map

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from stillray.model_spec.loader import Transfer
+from stillray.model_spec.stages import Transfer
 from stillray_export.frame_graph.median import masked_median
 from stillray_export.frame_graph.windows import area_means
 

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from stillray.errors import InputError
 from stillray.families.registry import kernels_of
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import PyramidKernels
+from stillray.model_spec.decoders import PyramidKernels
 from stillray.stages.accumulate import FILLED_WEIGHT
 from stillray.stages.prepare import LEAST_KEPT
 from stillray.stages.relief import DARKEST

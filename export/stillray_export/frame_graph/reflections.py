@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from stillray.model_spec.loader import Demodulate
+from stillray.model_spec.stages import Demodulate
 from stillray.stages import specular_motion as runtime
 from stillray_export.frame_graph.camera import Camera, camera_motion, place
 from stillray_export.frame_graph.exposure import size_of

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from stillray.model_spec.loader import Temporal
+from stillray.model_spec.stages import Temporal
 from stillray.stages.reproject import LEAST_BLUR, SMOOTH_DEPTH, SMOOTH_NORMAL
 from stillray_export.frame_graph.lookup import (
     linear_taps,

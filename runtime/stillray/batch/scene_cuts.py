@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from stillray.frame import Frame
-from stillray.model_spec.loader import ModelSpec, Temporal
+from stillray.model_spec.loader import ModelSpec
+from stillray.model_spec.stages import Temporal
 from stillray.stages import features as encode
 from stillray.stages.repair import MAX_MOTION
 from stillray.stages.reproject import pack

@@ -28,7 +28,8 @@ from stillray.arrays.bounds import at_least, at_most
 from stillray.arrays.strips import Strips
 from stillray.arrays.workspace import Workspace
 from stillray.families.temporal_kernels import Looks, TemporalKernels
-from stillray.model_spec.loader import BilateralGrids, ModelSpec
+from stillray.model_spec.decoders import BilateralGrids
+from stillray.model_spec.loader import ModelSpec
 from stillray.stages.state import Filterable
 from stillray.timing import timed
 

@@ -14,7 +14,7 @@ import numpy as np
 from stillray.arrays.strips import interleave, planes_of, with_halo
 from stillray.arrays.workspace import Workspace
 from stillray.families.depth_to_space import DepthToSpace
-from stillray.model_spec.loader import FusedKernels
+from stillray.model_spec.decoders import FusedKernels
 
 
 def filter_rows(

@@ -7,7 +7,7 @@ window's sum is two additions an axis however large the window is.
 from __future__ import annotations
 
 from stillray.families.pyramid_logits import level_layout, level_logits
-from stillray.model_spec.loader import FeatureFilters, PyramidKernels
+from stillray.model_spec.decoders import FeatureFilters, PyramidKernels
 
 WINDOW_SUM = 4  # operations: one value comes in and one goes out, along each axis
 EXP = 1  # operations of an exponential, a root or a logarithm: instructions of their own in time

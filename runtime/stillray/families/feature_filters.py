@@ -31,7 +31,9 @@ from stillray.families.past_agreement import Shown, reject_history
 from stillray.families.target_grid import Grid, dilated, recalled
 from stillray.families.target_planes import Known, Surfaces, log_depth, planes_by_name
 from stillray.frame import Frame
-from stillray.model_spec.loader import BranchNetwork, FeatureFilters, ModelSpec
+from stillray.model_spec.decoders import FeatureFilters
+from stillray.model_spec.loader import ModelSpec
+from stillray.model_spec.networks import BranchNetwork
 from stillray.stages import features, lamps
 from stillray.stages.accumulate import bounded
 from stillray.stages.decide import REJECT

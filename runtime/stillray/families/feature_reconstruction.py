@@ -34,7 +34,8 @@ from stillray.arrays.strips import STRIP_PIXELS, Strips, interleave, planes_of, 
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
 from stillray.families.gaussian import Weights, framed, gaussian, measured, share_of_bright
 from stillray.families.logit_maps import LogitMaps, holds_nan, without_nan
-from stillray.model_spec.loader import Demodulate, FeatureFilters
+from stillray.model_spec.decoders import FeatureFilters
+from stillray.model_spec.stages import Demodulate
 from stillray.models.steps import Output
 from stillray.stages.demodulate import demodulation_planes
 

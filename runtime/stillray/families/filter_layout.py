@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stillray.model_spec.loader import FeatureFilters
+from stillray.model_spec.decoders import FeatureFilters
 
 #: What is accumulated, in the order of its logits: light, diffuse and specular albedo.
 ACCUMULATED = 3

@@ -11,7 +11,9 @@ from stillray.families.box_filter import filter_rows
 from stillray.families.cost import fused_kernels_cost
 from stillray.families.depth_to_space import DepthToSpace
 from stillray.families.temporal_kernels import Looks, TemporalKernels
-from stillray.model_spec.loader import FusedKernels, ImportanceNetwork, ModelSpec
+from stillray.model_spec.decoders import FusedKernels
+from stillray.model_spec.loader import ModelSpec
+from stillray.model_spec.networks import ImportanceNetwork
 from stillray.stages.state import Filterable
 from stillray.timing import timed_pass
 

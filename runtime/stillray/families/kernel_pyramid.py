@@ -37,7 +37,9 @@ from stillray.families.pyramid_logits import (
 from stillray.families.pyramid_upsample import Doubled
 from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.families.views import View
-from stillray.model_spec.loader import ModelSpec, PyramidKernels, PyramidNetwork
+from stillray.model_spec.decoders import PyramidKernels
+from stillray.model_spec.loader import ModelSpec
+from stillray.model_spec.networks import PyramidNetwork
 from stillray.models.steps import InSteps, Output
 from stillray.stages.features import luminance_of_planes
 from stillray.stages.state import Filterable

@@ -29,7 +29,9 @@ from stillray.families.cost import multi_resolution_cost
 from stillray.families.kernel_pyramid import alignment, receptive_field
 from stillray.families.pyramid_logits import numbers
 from stillray.families.temporal_kernels import Looks, TemporalKernels
-from stillray.model_spec.loader import FusedKernels, ModelSpec, PyramidNetwork
+from stillray.model_spec.decoders import FusedKernels
+from stillray.model_spec.loader import ModelSpec
+from stillray.model_spec.networks import PyramidNetwork
 from stillray.stages.state import Filterable
 from stillray.timing import timed, timed_pass
 

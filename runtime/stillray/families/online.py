@@ -32,8 +32,10 @@ from stillray.families.online_past import (
 )
 from stillray.families.online_state import pack, unpack
 from stillray.frame import Frame
-from stillray.model_spec.loader import CrossBilateral, FilterNetwork, ModelSpec
+from stillray.model_spec.decoders import CrossBilateral
+from stillray.model_spec.loader import ModelSpec
 from stillray.model_spec.network_weights import network_weights
+from stillray.model_spec.networks import FilterNetwork
 from stillray.stages import previous_output
 from stillray.stages.decide import TemporalPlan, Wants, decide
 from stillray.stages.means import Means

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from stillray.families.views import View
-from stillray.model_spec.loader import PyramidKernels
+from stillray.model_spec.decoders import PyramidKernels
 
 #: Neighbours of a pixel in the order of their logits: (rows down, columns right).
 NEIGHBOURS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))

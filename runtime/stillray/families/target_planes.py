@@ -118,7 +118,7 @@ def planes_by_name(names: Sequence[str], known: Known, workspace: Workspace) -> 
     Parameters
     ----------
     names
-        Of `stillray.model_spec.loader.RADIANCE_FEATURES` and ``GUIDE_FEATURES``; some twice.
+        Of `stillray.model_spec.planes.RADIANCE_FEATURES` and ``GUIDE_FEATURES``; some twice.
     known
         What they are made of.
     workspace

@@ -5,20 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from stillray.model_spec.loader import (
+from stillray.model_spec.decoders import (
     BilateralGrids,
-    BranchNetwork,
     CrossBilateral,
     FeatureFilters,
-    FilterNetwork,
     FusedKernels,
+    PyramidKernels,
+)
+from stillray.model_spec.loader import ModelSpec
+from stillray.model_spec.network_weights import PARAMETERS
+from stillray.model_spec.networks import (
+    BranchNetwork,
+    FilterNetwork,
     GuideNetwork,
     ImportanceNetwork,
-    ModelSpec,
-    PyramidKernels,
     PyramidNetwork,
 )
-from stillray.model_spec.network_weights import PARAMETERS
 
 _NEIGHBOURS = 8
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from stillray.model_spec.loader import FilterNetwork, ModelSpec
+from stillray.model_spec.loader import ModelSpec
+from stillray.model_spec.networks import FilterNetwork
 
 #: Names and shapes.
 Shapes = list[tuple[str, tuple[int, ...]]]

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from stillray.errors import InputError
-from stillray.model_spec.loader import ModelSpec, SpecError, from_json, load
+from stillray.model_spec.loader import ModelSpec, from_json, load
 from stillray.model_spec.network_outputs import network_outputs
 from stillray.model_spec.network_weights import network_weights
+from stillray.model_spec.rules import SpecError
 from stillray.models.frame_graph import (
     FRAME_SUFFIX,
     SPATIAL_SUFFIX,

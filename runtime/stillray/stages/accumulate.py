@@ -7,7 +7,7 @@ import numpy as np
 
 from stillray.arrays.bounds import at_most
 from stillray.arrays.workspace import Workspace
-from stillray.model_spec.loader import Temporal, Transfer
+from stillray.model_spec.stages import Temporal, Transfer
 from stillray.stages.features import local_luminance, luminance, tone_map
 
 #: Exposed irradiance below which surroundings no longer count as darker.

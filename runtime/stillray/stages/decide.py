@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 from stillray.arrays.strips import Strips
 from stillray.frame import Frame
-from stillray.model_spec.loader import PIXEL_FILTER, ModelSpec
+from stillray.model_spec.loader import ModelSpec
+from stillray.model_spec.planes import PIXEL_FILTER
 from stillray.stages.outliers import remove_outliers
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.repair import Buffers

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.workspace import Workspace
-from stillray.model_spec.loader import Demodulate
+from stillray.model_spec.stages import Demodulate
 
 _BELOW_ZERO = (-1.0, -1.0, -1.0)
 _SUM = np.ones((1, 3), np.float32)

@@ -11,7 +11,8 @@ import numpy as np
 
 from stillray.arrays.strips import planes_of
 from stillray.arrays.workspace import Workspace
-from stillray.model_spec.loader import PIXEL_FILTER, Temporal, Transfer
+from stillray.model_spec.planes import PIXEL_FILTER
+from stillray.model_spec.stages import Temporal, Transfer
 
 #: Shares of red, green and blue in luminance.
 REC709 = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
@@ -181,7 +182,7 @@ def feature_planes(
     temporal
         Its ``max_samples`` scales the samples' plane.
     features
-        Names of the planes, of `stillray.model_spec.loader.FEATURES`.
+        Names of the planes, of `stillray.model_spec.planes.FEATURES`.
     out : (len(features), h, w) float32
         Written: values in [0, 1] ([-1, 1] for normals).
     workspace

@@ -10,7 +10,7 @@ import numpy as np
 from stillray.arrays.bounds import at_least
 from stillray.arrays.strips import Strips, interleave, pixels_of, planes_of
 from stillray.arrays.workspace import Workspace
-from stillray.model_spec.loader import Temporal
+from stillray.model_spec.stages import Temporal
 from stillray.stages.sharpening import Sharpening
 
 # A 2x2 block of the previous frame is one smooth surface when its normals' components and its

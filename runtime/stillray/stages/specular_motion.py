@@ -17,7 +17,7 @@ import numpy as np
 from stillray.arrays.bounds import at_most
 from stillray.arrays.resample import double, halve
 from stillray.arrays.strips import STRIP_PIXELS, Strips, with_halo
-from stillray.model_spec.loader import Demodulate
+from stillray.model_spec.stages import Demodulate
 from stillray.stages import features as encode
 
 # Of the surface's inverse depth: what is shown is infinitely far, four times or twice as far.

@@ -9,7 +9,7 @@ from pathlib import Path
 from stillray.compare.metrics import METRICS as ALL_METRICS
 from stillray.io.atomic import atomic_path
 from stillray.model_spec import load
-from stillray.model_spec.loader import Training
+from stillray.model_spec.training import Training
 from stillray_training.ablation.claims import (
     CLAIMS,
     HOLDS,

@@ -11,7 +11,7 @@ import dataclasses
 from dataclasses import dataclass
 
 from stillray.model_spec import ModelSpec, load
-from stillray.model_spec.loader import ImportanceNetwork, PyramidNetwork
+from stillray.model_spec.networks import ImportanceNetwork, PyramidNetwork
 from stillray_training.families import FAMILIES, Family
 from stillray_training.networks.repvgg import without_branches
 from stillray_training.peers import (

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from stillray.families.bilateral_grid import GUIDE_RANGE, grid_cells
-from stillray.model_spec.loader import BilateralGrids
+from stillray.model_spec.decoders import BilateralGrids
 
 # Cells squared: what rounds off the tip of the tent in its gradient (section 4.2).
 _TIP = 1e-7

@@ -6,7 +6,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from stillray.model_spec.loader import Demodulate
+from stillray.model_spec.stages import Demodulate
 
 
 def is_black(albedo_nchw: Tensor, options: Demodulate) -> Tensor:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from stillray.model_spec.loader import FusedKernels
+from stillray.model_spec.decoders import FusedKernels
 from stillray_training.decoders.boxes import BoxMean
 
 

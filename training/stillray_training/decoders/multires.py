@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from stillray.model_spec.loader import FusedKernels
+from stillray.model_spec.decoders import FusedKernels
 from stillray_training.decoders.boxes import BoxMean
 from stillray_training.decoders.fused_kernels import fused_kernels
 

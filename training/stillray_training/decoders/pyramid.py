@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stillray.families.pyramid_logits import NEIGHBOURS, level_layout
-from stillray.model_spec.loader import PyramidKernels
+from stillray.model_spec.decoders import PyramidKernels
 from stillray_training.decoders.boxes import BoxMean
 from stillray_training.decoders.gaussian import gaussian, share_of_bright
 from stillray_training.decoders.luminance import luminance

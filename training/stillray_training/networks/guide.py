@@ -6,7 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import BilateralGrids, GuideNetwork
+from stillray.model_spec.decoders import BilateralGrids
+from stillray.model_spec.networks import GuideNetwork
 from stillray_training.networks.repvgg import RepVGGBlock
 
 

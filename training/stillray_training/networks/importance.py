@@ -5,7 +5,8 @@ from __future__ import annotations
 from torch import Tensor, nn
 
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import FusedKernels, ImportanceNetwork
+from stillray.model_spec.decoders import FusedKernels
+from stillray.model_spec.networks import ImportanceNetwork
 from stillray_training.networks.repvgg import RepVGGBlock
 
 

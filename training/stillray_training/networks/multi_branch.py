@@ -17,8 +17,9 @@ from torch.nn import functional as F
 
 from stillray.families.filter_layout import TargetLayout, target_layout
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import BranchNetwork, FeatureFilters
+from stillray.model_spec.decoders import FeatureFilters
 from stillray.model_spec.network_outputs import network_outputs
+from stillray.model_spec.networks import BranchNetwork
 from stillray_training.networks.repvgg import RepVGGBlock
 
 _MERGED = 0.5  # of the residual before training, whatever the guides say

@@ -12,7 +12,8 @@ from torch.nn import functional as F
 from stillray.families.multi_resolution import level_planes
 from stillray.families.pyramid_logits import level_layout, level_logits, logit_names
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import FusedKernels, PyramidKernels, PyramidNetwork
+from stillray.model_spec.decoders import FusedKernels, PyramidKernels
+from stillray.model_spec.networks import PyramidNetwork
 from stillray_training.networks.repvgg import RepVGGBlock
 
 _UNRESOLVED = -3.0  # logit of a neighbour against the pixel itself, before training

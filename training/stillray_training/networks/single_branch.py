@@ -13,8 +13,9 @@ from torch.nn import functional as F
 
 from stillray.families.filter_layout import target_layout
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import BranchNetwork, FeatureFilters
+from stillray.model_spec.decoders import FeatureFilters
 from stillray.model_spec.network_outputs import network_outputs
+from stillray.model_spec.networks import BranchNetwork
 from stillray_training.networks.multi_branch import Residual, doubled, halving, start_heads
 
 

@@ -17,7 +17,7 @@ from stillray.arrays.workspace import Workspace
 from stillray.families.box_filter import bounded_exp
 from stillray.families.temporal_kernels import Looks
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import FusedKernels
+from stillray.model_spec.decoders import FusedKernels
 from stillray_training.families import BoxFilter, Family
 from stillray_training.peers.kernel_prediction import (
     KernelPredictionNet,

@@ -27,7 +27,8 @@ from stillray.arrays.workspace import Workspace
 from stillray.families.box_filter import bounded_exp
 from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import FusedKernels, ImportanceNetwork
+from stillray.model_spec.decoders import FusedKernels
+from stillray.model_spec.networks import ImportanceNetwork
 from stillray.stages.state import Filterable
 from stillray.timing import timed
 from stillray_training.families import BoxFilter, Family

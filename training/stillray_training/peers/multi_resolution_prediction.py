@@ -20,7 +20,8 @@ from torch import Tensor, nn
 from stillray.arrays.workspace import Workspace
 from stillray.families import multi_resolution as multires
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import FusedKernels, PyramidNetwork
+from stillray.model_spec.decoders import FusedKernels
+from stillray.model_spec.networks import PyramidNetwork
 from stillray_training.decoders.multires import filtered_resolutions
 from stillray_training.families import BoxFilter, Family
 from stillray_training.networks.pyramid import PyramidNet

@@ -9,7 +9,7 @@ import numpy as np
 
 from stillray.arrays.strips import planes_of
 from stillray.frame import Frame
-from stillray.model_spec.loader import Demodulate, Temporal, Transfer
+from stillray.model_spec.stages import Demodulate, Temporal, Transfer
 from stillray.stages import features as encode
 from stillray.stages import reproject
 from stillray.stages.demodulate import demodulation_albedo

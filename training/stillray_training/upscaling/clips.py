@@ -17,7 +17,8 @@ from stillray.families.target_grid import Grid, dilated
 from stillray.frame import Frame
 from stillray.io.exr.read import read_exr
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import FeatureFilters, Training
+from stillray.model_spec.decoders import FeatureFilters
+from stillray.model_spec.training import Training
 from stillray.stages import features
 from stillray.stages.accumulate import bounded
 from stillray.stages.repair import repair_feature

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from stillray.arrays.strips import Strips
 from stillray.families.feature_filters import FeatureFiltersModel
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.loader import Training
+from stillray.model_spec.training import Training
 from stillray_training.decoders.feature_filters import Remembered
 from stillray_training.losses import (
     blur_error,

@@ -33,7 +33,7 @@ from stillray.errors import InputError
 from stillray.io.atomic import atomic_path
 from stillray.io.exr.read import read_exr
 from stillray.model_spec import ModelSpec, load
-from stillray.model_spec.loader import BranchNetwork
+from stillray.model_spec.networks import BranchNetwork
 from stillray.models.session import open_session
 from stillray.profiling.cost import network_cost
 from stillray.profiling.machine import describe
