@@ -116,7 +116,7 @@ def cameras(scene: Path, room: Room) -> dict[str, object]:
 def main(
     scenes: Annotated[Path, typer.Argument(help="Folder with SCENE/scene.xml of each; mended.")],
     out: Annotated[Path, typer.Argument(help="Folder of the frames.")],
-    height: Annotated[int, typer.Option(help="Pixels; 16:9.", min=1)] = 360,
+    height: Annotated[int, typer.Option(help="Pixels; 16:9.", min=1)] = 270,
     reference_spp: Annotated[int, typer.Option(help="Samples of references.", min=1)] = 512,
 ) -> None:
     """Render a sequence of one sample a pixel and stills of each room; resumes after a kill."""
@@ -132,7 +132,7 @@ def main(
         path.write_text(json.dumps(cameras(scene, room)), encoding="utf-8")
         sequence = SequenceOptions(
             frames=_FRAMES, height=height, width=height * 16 // 9, spp=1,
-            reference_spp=reference_spp, references=2, depth=_DEPTH, cameras=str(path),
+            reference_spp=reference_spp, references=1, depth=_DEPTH, cameras=str(path),
         )  # fmt: skip
         plan = plan_scene(mi, str(scene), 0, None, sequence)
         stage = Stage(mi, plan, sequence.height, sequence.width)
