@@ -23,11 +23,13 @@ from stillray.model_spec import load  # noqa: E402
 from stillray_training import contact_sheets as sheets  # noqa: E402
 from stillray_training.checkpoint import load_network  # noqa: E402
 from stillray_training.loss_log import LOG  # noqa: E402
+from stillray_training.machine import Batches, Machine  # noqa: E402
 from stillray_training.networks.fuse import fuse  # noqa: E402
 from stillray_training.networks.multi_branch import MultiBranchBlock, multi_branch_net  # noqa: E402
 from stillray_training.networks.repvgg import by_branches  # noqa: E402
 from stillray_training.simulate.sequence import RECORD, write  # noqa: E402
 from stillray_training.upscaling import (  # noqa: E402
+    agreement,
     compare,
     contact_sheets,
     loop,
@@ -394,6 +396,31 @@ def test_gradients_reach_every_weight_through_the_past(tmp_path):
     image, _, _ = unroll.step(network, frames[1], before, names, rules)
     (gradient,) = torch.autograd.grad(image.sum(), frames[0]["color"])
     assert gradient.abs().max() > 0
+
+
+def test_batches_of_trainings_begin_anew_where_light_disagrees(tmp_path, monkeypatch):
+    """The left half of every frame disagrees with its past: no gradient comes from there."""
+    spec = small(frames=2, batch=1)
+    clip = load_clip(render(tmp_path / "plane-0-0"), spec, Strips(1))
+    batch = Batches(ClipSampler([clip], spec).batch, 1, Machine())(0)
+
+    def disagreeing(light, shown, scale, motion, noise, strips):
+        share = np.ones(shown.color.shape[:2], np.float32)
+        share[:, : share.shape[1] // 2] = 0
+        return share, noise
+
+    monkeypatch.setattr(agreement, "agreement", disagreeing)
+    network, names = multi_branch_net(spec), spec.network.features
+    rules = FeatureFiltersModel(spec).rules
+    _, before, _ = unroll.step(network, batch[0], None, names, rules)
+    _, after, recalled = unroll.step(network, batch[1], before, names, rules)
+    columns = batch[1]["columns"][0]
+    left = columns < (int(columns.max()) + 1) // 2
+    first, later = (remembered.light[:, 3] for remembered in (before, after))
+    torch.testing.assert_close(later[..., left], first[..., left])
+    assert (later[..., ~left] > first[..., ~left]).any()
+    assert recalled[..., left].abs().max() == 0
+    assert recalled[..., ~left].abs().max() > 0
 
 
 def test_methods_are_timed_in_turn_and_the_first_round_is_left_out():

@@ -61,7 +61,9 @@ def reject_history(
         )
         after.append(noise)
         whole = np.ones((len(rows), len(columns)), np.float32)
-        shares.append(whole if share is None else share[rows][:, columns])
+        # batches are of floats alone
+        at = np.ix_(rows.astype(np.intp), columns.astype(np.intp))
+        shares.append(whole if share is None else share[at])
     kept = torch.from_numpy(np.stack(shares)[:, None]).to(past.light)
     left = kept >= float(LEAST_SHARE)
     light, albedo, specular, output = (
