@@ -117,7 +117,7 @@ def main(
     scenes: Annotated[Path, typer.Argument(help="Folder with SCENE/scene.xml of each; mended.")],
     out: Annotated[Path, typer.Argument(help="Folder of the frames.")],
     height: Annotated[int, typer.Option(help="Pixels; 16:9.", min=1)] = 270,
-    reference_spp: Annotated[int, typer.Option(help="Samples of references.", min=1)] = 512,
+    reference_spp: Annotated[int, typer.Option(help="Samples of references.", min=1)] = 2048,
 ) -> None:
     """Render a sequence of one sample a pixel and stills of each room; resumes after a kill."""
     mi, _ = load_mitsuba(None)
