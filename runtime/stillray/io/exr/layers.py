@@ -27,19 +27,20 @@ def colors_beside(
     *,
     layers: Mapping[str, str] | None = None,
 ) -> list[str]:
-    """Layers of the colour of surfaces that `read_lights` gives beside the lights of those names.
+    """Layers of the colour of surfaces that are read beside the lights of those names.
 
-    So `write_exr` writes them anew where it is given what became of the lights. Reads headers only.
+    So `stillray.io.exr.write.write_exr` writes them anew where it is given what became of the
+    lights. Reads headers only.
 
     Parameters
     ----------
     path, names, layers
-        As for `read_lights`.
+        As for `stillray.io.exr.read.read_lights`.
 
     Raises
     ------
     InputError
-        As `read_lights`.
+        As `stillray.io.exr.read.read_lights`.
     """
     file = ExrFile.of_layers(path, layers, headers_only=True)
     lights = lights_by_whole_name(file, names, layers)
@@ -69,6 +70,7 @@ def _instead_of_color(names: list[str]) -> str:
 
 
 def color_and_more(file: ExrFile, layers: Mapping[str, str] | None) -> list[LayerMatch]:
+    """The layers of a file that has a color; `InputError` where it has none."""
     return require_color(file.path, find_layers(file.channels, layers), file.channels)
 
 
@@ -129,6 +131,7 @@ def with_colors(file: ExrFile, lights: Mapping[str, tuple[str, ...]]) -> dict[st
 def require_alone(
     role: str, path: Path, names: Iterable[str], layers: Mapping[str, str] | None
 ) -> LayerMatch:
+    """The buffer of a role in a file of its own; `InputError` where it holds none."""
     names = list(names)
     match = find_alone(role, names, layers)
     if match is None:

@@ -120,7 +120,7 @@ def read_exr(
 def read_picture(
     path: str | os.PathLike[str], *, layers: Mapping[str, str] | None = None
 ) -> np.ndarray:
-    """The color that `write_exr` puts a denoised picture into, ``(h, w, 3)`` float32.
+    """The color that a denoised picture is written into, ``(h, w, 3)`` float32.
 
     That is what `read_exr` takes for color, but in files that keep the noisy image beside it.
 

@@ -55,9 +55,10 @@ def write_exr(
         jitter, which is of other pixels; and the windows, enlarged, where it is a whole number of
         times as wide and high.
     layers
-        As it was read with, see `read_exr`.
+        As it was read with, see `stillray.io.exr.read.read_exr`.
     lights
-        Filtered layers by name, from `read_lights`, which replace those of the source.
+        Filtered layers by name, from `stillray.io.exr.read.read_lights`, which replace those of
+        the source.
     attributes
         Further attributes, such as where the picture comes from: ``{"stillray:model": "kpyr-5"}``;
         None leaves out the source's. ``stillray:version`` is always written.
@@ -155,11 +156,11 @@ class CleanView:
     Attributes
     ----------
     layers
-        As the view was read with, see `read_exr`.
+        As the view was read with, see `stillray.io.exr.read.read_exr`.
     image : (h, w, 3) float
         Scene-linear radiance, in the data window of the view's color.
     lights
-        Filtered layers by name, from `read_lights`.
+        Filtered layers by name, from `stillray.io.exr.read.read_lights`.
     """
 
     layers: Mapping[str, str] | None
