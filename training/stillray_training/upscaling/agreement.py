@@ -15,35 +15,25 @@ from torch import Tensor
 
 from stillray.arrays.strips import Strips
 from stillray.families.past_agreement import LEAST_SHARE, Shown, agreement
-from stillray.stages.history_rejection import Noise
 from stillray_training.decoders.feature_filters import Remembered
 
-#: Noise of the samples of each patch, None of one without a past.
-Noises = tuple[Noise | None, ...]
 
-
-def reject_history(
-    past: Remembered, frame: Mapping[str, Tensor], noises: Noises | None, scale: int
-) -> tuple[Remembered, Noises]:
+def reject_history(past: Remembered, frame: Mapping[str, Tensor], scale: int) -> Remembered:
     """Take from pasts what disagrees with frames.
 
     Parameters
     ----------
     past
-        At the pixels of the pictures.
+        At the pixels of the pictures, with the noise that the last frame left.
     frame
         Of `stillray_training.upscaling.clips.ClipSampler`.
-    noises
-        What the last frame's call gave, or None.
     scale
         Pixels of the picture for one of the frame, along each axis.
 
     Returns
     -------
-    past
-        What is left of it.
-    noises
-        For the next frame.
+    Remembered
+        What is left of it, with the noise for the next frame.
     """
     strips = Strips(1)
     held = past.light.detach().cpu().numpy()
@@ -56,7 +46,7 @@ def reject_history(
             Shown(np.ascontiguousarray(color.transpose(1, 2, 0)), None, float(exposure.item())),
             scale,
             motion.transpose(1, 2, 0),
-            noises[patch] if noises else None,
+            past.noises[patch] if past.noises else None,
             strips,
         )
         after.append(noise)
@@ -70,4 +60,4 @@ def reject_history(
         image * left for image in (past.light, past.albedo, past.specular, past.output)
     )
     light = torch.cat([light[:, :3], light[:, 3:] * kept], 1)
-    return Remembered(light, albedo, specular, output), tuple(after)
+    return Remembered(light, albedo, specular, output, noises=tuple(after))

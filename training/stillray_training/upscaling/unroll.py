@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
@@ -14,7 +15,7 @@ from stillray.families.target_planes import FARTHEST, MOST_LIGHT, MU, PERIODS
 from stillray.stages.reproject import LEAST_BLUR
 from stillray_training.decoders.feature_filters import Enlarged, Remembered, reconstruct
 from stillray_training.decoders.luminance import luminance
-from stillray_training.upscaling.agreement import Noises, reject_history
+from stillray_training.upscaling.agreement import reject_history
 
 
 def step(
@@ -50,7 +51,6 @@ def step(
     """
     size = frame["color"].shape
     past = Remembered(*(frame["color"].new_zeros(size[0], 4, *size[2:]) for _ in range(4)))
-    noises: Noises | None = None
     if before is not None:
         images = (before.light, before.albedo, before.specular, before.output)
         moved = warped(torch.cat(images, 1), frame["positions"])
@@ -61,20 +61,20 @@ def step(
         if rules.sharp_contrast:
             light = torch.where(contrast > rules.sharp_contrast, light * factor, light)
         moved = torch.cat([light, others, output, depth], 1)
-        past = Remembered(*(moved * frame["inside"]).split(4, 1))
+        past = Remembered(*(moved * frame["inside"]).split(4, 1), noises=before.noises)
         if rules.most_blur:
             most = rules.most_blur / look_blur(frame["positions"])
             light, albedo, specular = (
                 _at_most(image, most) for image in (past.light, past.albedo, past.specular)
             )
-            past = Remembered(light, albedo, specular, past.output)
-        past, noises = reject_history(past, frame, before.noises, rules.filters.scale)
+            past = replace(past, light=light, albedo=albedo, specular=specular)
+        past = reject_history(past, frame, rules.filters.scale)
     planes = network_planes(frame, past, names)
     outputs = network(planes)
     given = Enlarged(frame["color"], frame["albedo"], frame["specular"], frame["exposure"])
     image, (light, albedo, specular) = reconstruct(given, past, outputs, rules)
     output = torch.cat([image, log_depth(frame["depth"])], 1)
-    after = Remembered(light, albedo, specular, output, noises=noises)
+    after = Remembered(light, albedo, specular, output, noises=past.noises)
     return image, after, None if before is None else past.output[:, :3]
 
 
