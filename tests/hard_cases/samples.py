@@ -275,4 +275,38 @@ def lamp(denoiser: stillray.Denoiser) -> float:
     return float(1 - image[1:4, 14:18].mean() / 10)
 
 
+_FEW_SLATS = "hardly anything thin before anything so bright is in view of what it learned from"
+_MIXES = "a pixel is a mean of what is around: of the sky, a hundredth outshines a slat"
+
+
+@case(
+    "slats of 2.6 pixels before a sky of 300 times their light, 4 samples, one frame",
+    "light of pixels that only slats cover / theirs",
+    3,
+    kpyr_5s=_FEW_SLATS,
+    nbg_2x1=_MIXES,
+    nbg_2x3=_MIXES,
+    nbg_7x3=_MIXES,
+    wskp_3=_MIXES,
+    wskp_3s=_MIXES,
+    wskp_6=_MIXES,
+    wskp_mr=_MIXES,
+)
+def slats_before_a_sky(denoiser: stillray.Denoiser) -> float:
+    rng, (height, width, samples) = np.random.default_rng(3), (48, 66, 4)
+    rows, step, thick = np.arange(height)[:, None, None], 5.3, 2.6
+    slat = (rows + rng.random((height, width, samples))) % step < thick
+    light = 0.1 * np.where(slat, rng.exponential(1, slat.shape), 300).mean(axis=-1)
+    share = slat.mean(axis=-1)
+    frame = Frame(
+        color=np.repeat(light[..., None], 3, 2).astype(np.float32),
+        albedo=np.repeat(0.6 * share[..., None], 3, 2).astype(np.float32),
+        normal=share[..., None] * np.float32([0, 0, 1]),
+        depth=np.where(share > 0, np.float32(4), np.float32(0)),
+        samples=samples,
+    )
+    (image,) = run(denoiser, [frame])
+    return float(image[np.arange(height) % step <= thick - 1].mean() / 0.1)
+
+
 CASES: list[Case] = [value for value in list(globals().values()) if isinstance(value, Case)]

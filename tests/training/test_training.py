@@ -558,8 +558,9 @@ def test_the_command_trains_every_family_but_the_one_that_learns_by_itself(model
         train.main(model, [tmp_path], tmp_path / "run")
 
 
-def test_lamps_are_the_same_with_the_blocks_of_a_sequence_and_without(data, small):
-    recipe = dataclasses.replace(small.training, lamp_share=1.0)
+@pytest.mark.parametrize("share", ["lamp_share", "window_share"])
+def test_what_is_painted_is_the_same_with_the_blocks_of_a_sequence_and_without(data, small, share):
+    recipe = dataclasses.replace(small.training, **{share: 1.0})
     sequence = find_sequences(data)[0]
     plain = read_rendered(sequence, small.training)
     whole, part = (read_rendered(sequence, recipe, with_blocks=each) for each in (True, False))
@@ -568,3 +569,17 @@ def test_lamps_are_the_same_with_the_blocks_of_a_sequence_and_without(data, smal
     np.testing.assert_array_equal(whole.reference, part.reference)
     assert np.any(whole.reference != plain.reference)
     assert len(part.blocks) == 1
+
+
+def test_a_sequence_has_the_same_lamps_with_a_window_and_without(data, small):
+    sequence = find_sequences(data)[0]
+    lamps, windows, both = (
+        read_rendered(sequence, dataclasses.replace(small.training, **shares)).reference
+        for shares in (
+            {"lamp_share": 1.0}, {"window_share": 1.0}, {"lamp_share": 1.0, "window_share": 1.0},
+        )
+    )  # fmt: skip
+    plain = read_rendered(sequence, small.training).reference
+    shines = np.any(lamps != plain, axis=-1)
+    np.testing.assert_array_equal(both[~shines], windows[~shines])
+    assert np.any(both[shines] != windows[shines])

@@ -1,9 +1,10 @@
-"""A rendered sequence as it is learned from: some have lamps painted in."""
+"""A rendered sequence as it is learned from: some have lamps or windows painted in."""
 
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.model_spec.training import Training
 from stillray_training.blocks import frames_of, read_blocks
+from stillray_training.bright_windows import draw_window, frame_through, reference_through
 from stillray_training.small_lamps import draw_lamps, lit_frame, lit_reference
 from stillray_training.targets import read_filter, read_target
 
@@ -40,11 +42,18 @@ class Rendered:
     spp: float
     spread: float | None
 
+    @property
+    def depth(self) -> np.ndarray:
+        """Of the last frame, ``(h, w)``."""
+        depth = self.frames[-1].depth
+        assert depth is not None
+        return depth
+
 
 def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True) -> Rendered:
-    """Read a sequence, and paint lamps into as large a share of sequences as a recipe says.
+    """Read a sequence, and paint windows and lamps into the shares of sequences of a recipe.
 
-    The same sequence and seed give the same lamps every time, with further blocks and without.
+    The same sequence and seed give the same ones every time, with further blocks and without.
 
     Raises
     ------
@@ -56,14 +65,43 @@ def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True)
         raise InputError(f"{sequence}: must hold frames, frame_0000.exr and on")
     reference, spp = read_target(sequence)
     blocks = read_blocks(sequence, frames[-1], spp) if with_blocks else [(frames[-1], spp)]
-    spread = read_filter(sequence)
-    rng = np.random.default_rng([recipe.seed, zlib.crc32(sequence.name.encode()), 1])
-    if rng.random() < recipe.lamp_share:
-        depth = frames[-1].depth
-        assert depth is not None
-        lamps = draw_lamps(reference, depth, spread, rng)
-        reference = lit_reference(reference, lamps)
-        frames = [lit_frame(frame, lamps, spp, rng) for frame in frames]
-        more = [(lit_frame(frame, lamps, count, rng), count) for frame, count in blocks[1:]]
-        blocks = [(frames[-1], spp), *more]
-    return Rendered(frames=frames, blocks=blocks, reference=reference, spp=spp, spread=spread)
+    rendered = Rendered(
+        frames=frames, blocks=blocks, reference=reference, spp=spp, spread=read_filter(sequence)
+    )
+    # drawn by themselves: whatever the share of windows, a sequence has the same lamps
+    name = zlib.crc32(sequence.name.encode())
+    for own, share, paint in (
+        (2, recipe.window_share, _with_window),
+        (1, recipe.lamp_share, _with_lamps),
+    ):
+        rng = np.random.default_rng([recipe.seed, name, own])
+        if rng.random() < share:
+            rendered = paint(rendered, rng)
+    return rendered
+
+
+def _with_lamps(rendered: Rendered, rng: np.random.Generator) -> Rendered:
+    lamps = draw_lamps(rendered.reference, rendered.depth, rendered.spread, rng)
+    return _painted(
+        rendered,
+        lit_reference(rendered.reference, lamps),
+        lambda frame, samples: lit_frame(frame, lamps, samples, rng),
+    )
+
+
+def _with_window(rendered: Rendered, rng: np.random.Generator) -> Rendered:
+    window = draw_window(rendered.reference, rendered.depth, rendered.spread, rng)
+    return _painted(
+        rendered,
+        reference_through(rendered.reference, window),
+        lambda frame, samples: frame_through(frame, window, samples, rng),
+    )
+
+
+def _painted(
+    rendered: Rendered, reference: np.ndarray, paint: Callable[[Frame, float], Frame]
+) -> Rendered:
+    frames = [paint(frame, rendered.spp) for frame in rendered.frames]
+    more = [(paint(frame, count), count) for frame, count in rendered.blocks[1:]]
+    blocks = [(frames[-1], rendered.spp), *more]
+    return replace(rendered, frames=frames, blocks=blocks, reference=reference)

@@ -19,9 +19,11 @@ from stillray.pixel_filter import filter_spread
 _MOST = 3  # lamps of a picture
 _HALF_EDGES = (0.7, 6.0)  # pixels, from the middle of a lamp to its edge
 _BRIGHTER = (0.3, 2.5)  # powers of ten above the picture's median
-_FINE = 8  # points of a pixel along each axis, of which coverage is counted
 _IN_FRONT = 0.9  # a lamp's distance, as a part of the least behind it
 _WHITES = (0.3, 1.0)  # blue of a lamp's light over its red
+
+#: Points of a pixel along each axis, of which coverage is counted.
+FINE = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +37,7 @@ class Lamp:
     radiance, albedo, normal : (3,) float32
         As renderers write them: the albedo of lamps is 0, 1, their colour or their material's.
     distance
-        Its depth; 0 where the renderer writes none.
+        Its depth; 0 where the renderer writes none: then pixels that see it alone have none.
     """
 
     coverage: np.ndarray
@@ -87,21 +89,40 @@ def draw_lamps(
 
 def _coverage(shape: tuple[int, int], spread: float | None, rng: np.random.Generator) -> np.ndarray:
     """Of a rectangle or an ellipse, anywhere and turned anyhow, through the pixel filter."""
-    height, width = (_FINE * size for size in shape)
+    height, width = (FINE * size for size in shape)
     fine = np.zeros((height, width), np.float32)
     middle = rng.uniform(0, width), rng.uniform(0, height)
     least, most = np.log(_HALF_EDGES)
-    edges = 2 * _FINE * np.exp(rng.uniform(least, most, 2))
+    edges = 2 * FINE * np.exp(rng.uniform(least, most, 2))
     turned = 0.0 if rng.random() < 0.5 else rng.uniform(0, 180)
     box = (middle, (float(edges[0]), float(edges[1])), float(turned))
     if rng.random() < 0.5:
         cv2.ellipse(fine, box, 1, cv2.FILLED)
     else:
         cv2.fillConvexPoly(fine, np.round(cv2.boxPoints(box)).astype(np.int32), 1)
+    return seen_through(fine, spread)
+
+
+def seen_through(fine: np.ndarray, spread: float | None) -> np.ndarray:
+    """What pixels see of a shape of `FINE` points a pixel along each axis.
+
+    Parameters
+    ----------
+    fine : (FINE h, FINE w) float32
+        1 on the shape, 0 elsewhere.
+    spread
+        Standard deviation of the pixel filter, in pixels; None for that of a box.
+
+    Returns
+    -------
+    (h, w) float32
+        The probability that a sample of a pixel meets it.
+    """
     own = filter_spread("box")
     if spread is not None and spread > own:  # the mean of a pixel's points is a box of its own
-        fine = cv2.GaussianBlur(fine, (0, 0), _FINE * float(np.sqrt(spread**2 - own**2)))
-    return cv2.resize(fine, shape[::-1], interpolation=cv2.INTER_AREA)
+        fine = cv2.GaussianBlur(fine, (0, 0), FINE * float(np.sqrt(spread**2 - own**2)))
+    height, width = (size // FINE for size in fine.shape)
+    return cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def lit_reference(reference: np.ndarray, lamps: Sequence[Lamp]) -> np.ndarray:
@@ -143,6 +164,8 @@ def lit_frame(
         if lamp.distance:
             near = np.float32(lamp.distance)
             depth = np.where((depth > 0) | (share == 0), _mixed(depth, near, share), near)
+        else:
+            depth = np.where(share == 1, np.float32(0), depth)
         if motion is not None:
             motion = np.where(met > 0.5, np.float32(0), motion)
     return replace(frame, color=color, albedo=albedo, normal=normal, depth=depth, motion=motion)

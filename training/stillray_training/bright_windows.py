@@ -1,0 +1,126 @@
+"""Bright windows behind thin bars, painted into rendered frames.
+
+Slats before a sky of some hundred times their light are met in every house and in hardly any
+scene that is learned from: a hundredth of the sky let into a slat's pixel is all that is seen of
+it. What a frame shows becomes the bars, and a window shines between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from stillray.frame import Frame
+from stillray_training.small_lamps import FINE, Lamp, lit_frame, lit_reference, seen_through
+
+_SIDES = (16.0, 128.0)  # pixels, of a window
+_STEPS = (2.5, 20.0)  # pixels from bar to bar
+_THICKNESS = (0.4, 8.0)  # pixels of a bar, and at most as much of a step as the next says
+_MOST_OF_STEP = 0.85
+_BRIGHTER = (0.7, 2.7)  # powers of ten above the picture's median
+_DARKER = (0.0, 2.0)  # powers of ten that bars get less light, in half of the pictures
+_BLUE = (0.7, 1.6)  # blue of the sky's light over its red
+_FURTHER = (1.1, 4.0)  # the window's distance, as a multiple of the greatest before it
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A window as a camera sees it through bars.
+
+    Attributes
+    ----------
+    lamp
+        What shines between the bars.
+    light : (h, w) float32
+        What the light of a pixel's other samples is multiplied by: bars before a window are lit
+        from behind.
+    """
+
+    lamp: Lamp
+    light: np.ndarray
+
+
+def draw_window(
+    reference: np.ndarray, depth: np.ndarray, spread: float | None, rng: np.random.Generator
+) -> Window:
+    """A window of 5 to 500 times a picture's light, with bars of 0.4 to 8 pixels before it.
+
+    Parameters
+    ----------
+    reference : (h, w, 3)
+        The picture's radiance without noise.
+    depth : (h, w)
+        Its depth; 0 where nothing was hit.
+    spread
+        Standard deviation of the render's pixel filter, in pixels; None for that of a box.
+    rng
+        Draws place, bars, light and features.
+    """
+    inside, open_ = _openings(reference.shape[:2], rng)
+    coverage = seen_through(open_, spread)
+    usual = float(np.median(reference.mean(axis=-1))) or 1.0
+    blue = rng.uniform(*_BLUE)
+    tint = np.array([1, np.sqrt(blue), blue])
+    white = tint / tint.mean()
+    before = depth[(coverage > 0) & (depth > 0)]
+    far = float(before.max()) * rng.uniform(*_FURTHER) if len(before) else 0.0
+    normal = np.array([0, 0, rng.random() < 0.3], np.float32)
+    lamp = Lamp(
+        coverage=coverage,
+        radiance=(usual * 10 ** rng.uniform(*_BRIGHTER) * white).astype(np.float32),
+        albedo=np.full(3, rng.random() < 0.5, np.float32),
+        normal=normal,
+        distance=far if rng.random() < 0.5 else 0.0,
+    )
+    darker = 10 ** -rng.uniform(*_DARKER) if rng.random() < 0.5 else 1.0
+    light = 1 - seen_through(inside, spread) * np.float32(1 - darker)
+    return Window(lamp=lamp, light=light)
+
+
+def _openings(shape: tuple[int, int], rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A window, and what of it bars leave open, of `FINE` points a pixel along each axis."""
+    height, width = (FINE * size for size in shape)
+    middle = rng.uniform(0, width), rng.uniform(0, height)
+    sides = FINE * _log_uniform(rng, _SIDES, 2)
+    turned = 0.0 if rng.random() < 0.5 else rng.uniform(0, 90)
+    inside = np.zeros((height, width), np.float32)
+    box = (middle, (float(sides[0]), float(sides[1])), float(turned))
+    cv2.fillConvexPoly(inside, np.round(cv2.boxPoints(box)).astype(np.int32), 1)
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    open_ = inside.copy()
+    slope = np.radians(turned + rng.choice((0, 90)) + rng.choice((0.0, rng.uniform(-20, 20))))
+    for angle in (slope, slope + np.radians(rng.uniform(60, 120)))[: rng.integers(1, 3)]:
+        step, thick = (float(_log_uniform(rng, pair, 1)[0]) for pair in (_STEPS, _THICKNESS))
+        along = (x * np.cos(angle) + y * np.sin(angle)) / (FINE * step) + rng.random()
+        open_ *= along % 1 >= min(thick / step, _MOST_OF_STEP)
+    return inside, open_
+
+
+def _log_uniform(rng: np.random.Generator, ends: tuple[float, float], count: int) -> np.ndarray:
+    low, high = np.log(ends)
+    return np.exp(rng.uniform(low, high, count))
+
+
+def reference_through(reference: np.ndarray, window: Window) -> np.ndarray:
+    """A reference ``(h, w, 3)`` with a window in it, float32."""
+    return lit_reference(reference * window.light[..., None], [window.lamp])
+
+
+def frame_through(frame: Frame, window: Window, samples: float, rng: np.random.Generator) -> Frame:
+    """A frame with a window in it, met by as many of a pixel's samples as chance has it.
+
+    Parameters
+    ----------
+    frame
+        With all features. Window and bars stay where they are from frame to frame.
+    window
+        Behind the bars; they are what the frame shows.
+    samples
+        Of a pixel, 1 or more.
+    rng
+        Draws which samples pass between bars.
+    """
+    dimmed = replace(frame, color=frame.color * window.light[..., None])
+    return lit_frame(dimmed, [window.lamp], samples, rng)
