@@ -124,7 +124,7 @@ def trained(models: Models) -> str:
             shown.append(f"{label} {' + '.join(counts)}")
     return (
         f"Training steps: {', '.join(shown)}. Models differ in data and losses, too, as\n"
-        "[training.md](training.md) and [differences.md](differences.md) tell.\n\n"
+        "[training-log.md](training-log.md) and [differences.md](differences.md) tell.\n\n"
     )
 
 
