@@ -9,11 +9,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from stillray.frame import Frame
-from stillray_training.small_lamps import FINE, Lamp, lit_frame, lit_reference, seen_through
+from stillray_training.fine_shapes import (
+    anywhere,
+    between_stripes,
+    log_uniform,
+    rectangle,
+    seen_through,
+)
+from stillray_training.small_lamps import Lamp, lit_frame, lit_reference
 
 _SIDES = (16.0, 128.0)  # pixels, of a window
 _STEPS = (2.5, 20.0)  # pixels from bar to bar
@@ -81,26 +87,17 @@ def draw_window(
 
 def _openings(shape: tuple[int, int], rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """A window, and what of it bars leave open, of `FINE` points a pixel along each axis."""
-    height, width = (FINE * size for size in shape)
-    middle = rng.uniform(0, width), rng.uniform(0, height)
-    sides = FINE * _log_uniform(rng, _SIDES, 2)
+    middle = anywhere(shape, rng)
+    sides = (log_uniform(rng, _SIDES), log_uniform(rng, _SIDES))
     turned = 0.0 if rng.random() < 0.5 else rng.uniform(0, 90)
-    inside = np.zeros((height, width), np.float32)
-    box = (middle, (float(sides[0]), float(sides[1])), float(turned))
-    cv2.fillConvexPoly(inside, np.round(cv2.boxPoints(box)).astype(np.int32), 1)
-    y, x = np.mgrid[:height, :width].astype(np.float32)
+    inside = rectangle(shape, middle, sides, turned)
     open_ = inside.copy()
     slope = np.radians(turned + rng.choice((0, 90)) + rng.choice((0.0, rng.uniform(-20, 20))))
     for angle in (slope, slope + np.radians(rng.uniform(60, 120)))[: rng.integers(1, 3)]:
-        step, thick = (float(_log_uniform(rng, pair, 1)[0]) for pair in (_STEPS, _THICKNESS))
-        along = (x * np.cos(angle) + y * np.sin(angle)) / (FINE * step) + rng.random()
-        open_ *= along % 1 >= min(thick / step, _MOST_OF_STEP)
+        step = log_uniform(rng, _STEPS)
+        thick = min(log_uniform(rng, _THICKNESS), _MOST_OF_STEP * step)
+        open_ *= between_stripes(shape, angle, step, thick, rng)
     return inside, open_
-
-
-def _log_uniform(rng: np.random.Generator, ends: tuple[float, float], count: int) -> np.ndarray:
-    low, high = np.log(ends)
-    return np.exp(rng.uniform(low, high, count))
 
 
 def reference_through(reference: np.ndarray, window: Window) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""A rendered sequence as it is learned from: some have lamps or windows painted in."""
+"""A rendered sequence as it is learned from: some have lamps, windows or shadows painted in."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from stillray_training.blocks import frames_of, read_blocks
 from stillray_training.bright_windows import draw_window, frame_through, reference_through
 from stillray_training.small_lamps import draw_lamps, lit_frame, lit_reference
 from stillray_training.targets import read_filter, read_target
+from stillray_training.thin_shadows import draw_shadow, in_shadow, reference_in_shadow
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +52,7 @@ class Rendered:
 
 
 def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True) -> Rendered:
-    """Read a sequence, and paint windows and lamps into the shares of sequences of a recipe.
+    """Read a sequence, and paint into it what a recipe asks for in some share of sequences.
 
     The same sequence and seed give the same ones every time, with further blocks and without.
 
@@ -71,6 +72,7 @@ def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True)
     # drawn by themselves: whatever the share of windows, a sequence has the same lamps
     name = zlib.crc32(sequence.name.encode())
     for own, share, paint in (
+        (3, recipe.shadow_share, _with_shadow),
         (2, recipe.window_share, _with_window),
         (1, recipe.lamp_share, _with_lamps),
     ):
@@ -95,6 +97,15 @@ def _with_window(rendered: Rendered, rng: np.random.Generator) -> Rendered:
         rendered,
         reference_through(rendered.reference, window),
         lambda frame, samples: frame_through(frame, window, samples, rng),
+    )
+
+
+def _with_shadow(rendered: Rendered, rng: np.random.Generator) -> Rendered:
+    light = draw_shadow(rendered.reference.shape[:2], rendered.spread, rng)
+    return _painted(
+        rendered,
+        reference_in_shadow(rendered.reference, light, rendered.depth),
+        lambda frame, samples: in_shadow(frame, light),
     )
 
 

@@ -14,16 +14,13 @@ import cv2
 import numpy as np
 
 from stillray.frame import Frame
-from stillray.pixel_filter import filter_spread
+from stillray_training.fine_shapes import FINE, seen_through
 
 _MOST = 3  # lamps of a picture
 _HALF_EDGES = (0.7, 6.0)  # pixels, from the middle of a lamp to its edge
 _BRIGHTER = (0.3, 2.5)  # powers of ten above the picture's median
 _IN_FRONT = 0.9  # a lamp's distance, as a part of the least behind it
 _WHITES = (0.3, 1.0)  # blue of a lamp's light over its red
-
-#: Points of a pixel along each axis, of which coverage is counted.
-FINE = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,28 +98,6 @@ def _coverage(shape: tuple[int, int], spread: float | None, rng: np.random.Gener
     else:
         cv2.fillConvexPoly(fine, np.round(cv2.boxPoints(box)).astype(np.int32), 1)
     return seen_through(fine, spread)
-
-
-def seen_through(fine: np.ndarray, spread: float | None) -> np.ndarray:
-    """What pixels see of a shape of `FINE` points a pixel along each axis.
-
-    Parameters
-    ----------
-    fine : (FINE h, FINE w) float32
-        1 on the shape, 0 elsewhere.
-    spread
-        Standard deviation of the pixel filter, in pixels; None for that of a box.
-
-    Returns
-    -------
-    (h, w) float32
-        The probability that a sample of a pixel meets it.
-    """
-    own = filter_spread("box")
-    if spread is not None and spread > own:  # the mean of a pixel's points is a box of its own
-        fine = cv2.GaussianBlur(fine, (0, 0), FINE * float(np.sqrt(spread**2 - own**2)))
-    height, width = (size // FINE for size in fine.shape)
-    return cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def lit_reference(reference: np.ndarray, lamps: Sequence[Lamp]) -> np.ndarray:

@@ -1,0 +1,88 @@
+"""Shapes drawn finer than pixels, and what pixels see of them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from stillray.pixel_filter import filter_spread
+
+#: Points of a pixel along each axis, of which coverage is counted.
+FINE = 8
+
+Pair = tuple[float, float]
+
+
+def seen_through(fine: np.ndarray, spread: float | None) -> np.ndarray:
+    """What pixels see of a shape of `FINE` points a pixel along each axis.
+
+    Parameters
+    ----------
+    fine : (FINE h, FINE w) float32
+        1 on the shape, 0 elsewhere.
+    spread
+        Standard deviation of the pixel filter, in pixels; None for that of a box.
+
+    Returns
+    -------
+    (h, w) float32
+        The probability that a sample of a pixel meets it.
+    """
+    own = filter_spread("box")
+    if spread is not None and spread > own:  # the mean of a pixel's points is a box of its own
+        fine = cv2.GaussianBlur(fine, (0, 0), FINE * float(np.sqrt(spread**2 - own**2)))
+    height, width = (size // FINE for size in fine.shape)
+    return cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def rectangle(shape: tuple[int, int], middle: Pair, sides: Pair, turned: float) -> np.ndarray:
+    """A filled rectangle in ``(h, w)`` pixels, `FINE` points each, float32.
+
+    Parameters
+    ----------
+    shape
+        Height and width, pixels.
+    middle, sides
+        Of the rectangle, x and y, pixels.
+    turned
+        By so many degrees.
+    """
+    fine = np.zeros([FINE * size for size in shape], np.float32)
+    (x, y), (wide, high) = middle, sides
+    box = ((FINE * x, FINE * y), (FINE * wide, FINE * high), float(turned))
+    cv2.fillConvexPoly(fine, np.round(cv2.boxPoints(box)).astype(np.int32), 1)
+    return fine
+
+
+def between_stripes(
+    shape: tuple[int, int], angle: float, step: float, thick: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Where stripes leave ``(h, w)`` pixels open, of `FINE` points each, bool.
+
+    Parameters
+    ----------
+    shape
+        Height and width, pixels.
+    angle
+        Across the stripes, radians.
+    step, thick
+        From stripe to stripe, and of a stripe, pixels.
+    rng
+        Draws where they begin.
+    """
+    height, width = (FINE * size for size in shape)
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    along = (x * np.cos(angle) + y * np.sin(angle)) / (FINE * step) + rng.random()
+    return np.asarray(along % 1 >= thick / step)
+
+
+def log_uniform(rng: np.random.Generator, ends: tuple[float, float]) -> float:
+    """A number between two, whose logarithm is as likely anywhere."""
+    low, high = np.log(ends)
+    return float(np.exp(rng.uniform(low, high)))
+
+
+def anywhere(shape: tuple[int, int], rng: np.random.Generator) -> Pair:
+    """A point of ``(h, w)`` pixels, x and y."""
+    height, width = shape
+    return rng.uniform(0, width), rng.uniform(0, height)
