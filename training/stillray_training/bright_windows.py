@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillray.frame import Frame
+from stillray_training.draws import log_uniform
 from stillray_training.fine_shapes import (
     anywhere,
     between_stripes,
-    log_uniform,
     rectangle,
     seen_through,
 )
-from stillray_training.small_lamps import Lamp, lit_frame, lit_reference
+from stillray_training.small_lamps import Lamp, lit_frame, lit_reference, tint_of, usual_light
 
 _SIDES = (16.0, 128.0)  # pixels, of a window
 _STEPS = (2.5, 20.0)  # pixels from bar to bar
@@ -66,16 +66,14 @@ def draw_window(
     """
     inside, open_ = _openings(reference.shape[:2], rng)
     coverage = seen_through(open_, spread)
-    usual = float(np.median(reference.mean(axis=-1))) or 1.0
-    blue = rng.uniform(*_BLUE)
-    tint = np.array([1, np.sqrt(blue), blue])
-    white = tint / tint.mean()
+    tint = tint_of(rng.uniform(*_BLUE))
+    usual = usual_light(reference) * tint / tint.mean()
     before = depth[(coverage > 0) & (depth > 0)]
     far = float(before.max()) * rng.uniform(*_FURTHER) if len(before) else 0.0
     normal = np.array([0, 0, rng.random() < 0.3], np.float32)
     lamp = Lamp(
         coverage=coverage,
-        radiance=(usual * 10 ** rng.uniform(*_BRIGHTER) * white).astype(np.float32),
+        radiance=(10 ** rng.uniform(*_BRIGHTER) * usual).astype(np.float32),
         albedo=np.full(3, rng.random() < 0.5, np.float32),
         normal=normal,
         distance=far if rng.random() < 0.5 else 0.0,

@@ -29,6 +29,7 @@ from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
 from stillray.stages.state import History, Prepared
 from stillray_training.blocks import alike_frames, mean_frame
+from stillray_training.draws import log_uniform
 from stillray_training.film import (
     DEVIATIONS,
     film_variance,
@@ -213,7 +214,7 @@ def _lit_example(
     """
     # two frames at least
     fewest = sorted(count for _, count in blocks)[1]
-    samples = max(float(np.exp(rng.uniform(*np.log(_LIT_SAMPLES)))), fewest)
+    samples = max(log_uniform(rng, _LIT_SAMPLES), fewest)
     frames = alike_frames(blocks, reference, samples, int(rng.integers(2, _PAST + 2)), rng)
     shades = [np.ones((*reference.shape[:2], 1), np.float32)] * len(frames)
     if rng.random() < _CHANGING:
@@ -253,7 +254,7 @@ def _quiets(
     """Frames of more samples than were taken: the noise of all of them, made smaller."""
     whole, most = mean_frame(blocks), sum(count for _, count in blocks)
     for _ in range(_QUIETS):
-        count = float(np.exp(rng.uniform(np.log(2 * most), np.log(_MOST_SAMPLES))))
+        count = log_uniform(rng, (2 * most, _MOST_SAMPLES))
         noise = np.float32(np.sqrt(most / count))
         color = reference + noise * (whole.color - reference)
         yield replace(whole, color=color.astype(np.float32), motion=None), count

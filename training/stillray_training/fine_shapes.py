@@ -47,11 +47,23 @@ def rectangle(shape: tuple[int, int], middle: Pair, sides: Pair, turned: float) 
     turned
         By so many degrees.
     """
-    fine = np.zeros([FINE * size for size in shape], np.float32)
+    corners = cv2.boxPoints(_box(middle, sides, turned))
+    return cv2.fillConvexPoly(_empty(shape), np.round(corners).astype(np.int32), 1)
+
+
+def ellipse(shape: tuple[int, int], middle: Pair, sides: Pair, turned: float) -> np.ndarray:
+    """As `rectangle`, of the ellipse that it holds."""
+    return cv2.ellipse(_empty(shape), _box(middle, sides, turned), 1, cv2.FILLED)
+
+
+def _empty(shape: tuple[int, int]) -> np.ndarray:
+    return np.zeros([FINE * size for size in shape], np.float32)
+
+
+def _box(middle: Pair, sides: Pair, turned: float) -> tuple[Pair, Pair, float]:
+    """As OpenCV has it."""
     (x, y), (wide, high) = middle, sides
-    box = ((FINE * x, FINE * y), (FINE * wide, FINE * high), float(turned))
-    cv2.fillConvexPoly(fine, np.round(cv2.boxPoints(box)).astype(np.int32), 1)
-    return fine
+    return (FINE * x, FINE * y), (FINE * wide, FINE * high), float(turned)
 
 
 def between_stripes(
@@ -74,12 +86,6 @@ def between_stripes(
     y, x = np.mgrid[:height, :width].astype(np.float32)
     along = (x * np.cos(angle) + y * np.sin(angle)) / (FINE * step) + rng.random()
     return np.asarray(along % 1 >= thick / step)
-
-
-def log_uniform(rng: np.random.Generator, ends: tuple[float, float]) -> float:
-    """A number between two, whose logarithm is as likely anywhere."""
-    low, high = np.log(ends)
-    return float(np.exp(rng.uniform(low, high)))
 
 
 def anywhere(shape: tuple[int, int], rng: np.random.Generator) -> Pair:

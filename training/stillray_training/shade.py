@@ -5,6 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from stillray_training.draws import log_uniform
+
 _DARKEST = 0.1  # of the light that is left inside, the least
 _BRIGHT = 0.3  # share of shades that are brighter inside, not darker
 _PARTS = (0.1, 0.7)  # of the picture that is inside
@@ -67,7 +69,7 @@ def moving_shade(
     if rng.random() < _BRIGHT:
         stops = -stops
     angle = rng.uniform(0, 2 * np.pi)
-    speed = scale * np.exp(rng.uniform(*np.log(_SPEEDS)))
+    speed = scale * log_uniform(rng, _SPEEDS)
     waits = rng.random() < _WAITING
     still = max(0, frames - 1 - int(rng.integers(1, _LATEST + 1))) if waits else 0
     factors = []

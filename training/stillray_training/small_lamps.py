@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from stillray.frame import Frame
-from stillray_training.fine_shapes import FINE, seen_through
+from stillray_training.draws import log_uniform
+from stillray_training.fine_shapes import anywhere, ellipse, rectangle, seen_through
 
 _MOST = 3  # lamps of a picture
 _HALF_EDGES = (0.7, 6.0)  # pixels, from the middle of a lamp to its edge
@@ -60,13 +60,13 @@ def draw_lamps(
     rng
         Draws their places, shapes, light and features.
     """
-    usual = float(np.median(reference.mean(axis=-1))) or 1.0
+    usual = usual_light(reference)
     lamps = []
     for _ in range(int(rng.integers(1, _MOST + 1))):
         coverage = _coverage(reference.shape[:2], spread, rng)
         behind = depth[(coverage > 0) & (depth > 0)]
         blue = rng.uniform(*_WHITES)
-        tint = np.array([1, np.sqrt(blue), blue])
+        tint = tint_of(blue)
         if rng.random() < 0.2:
             tint = rng.random(3)
         white = tint / tint.mean()
@@ -84,20 +84,23 @@ def draw_lamps(
     return lamps
 
 
+def usual_light(reference: np.ndarray) -> float:
+    """What lamps are brighter than: the median of a picture ``(h, w, 3)``, 1 if that is 0."""
+    return float(np.median(reference.mean(axis=-1))) or 1.0
+
+
+def tint_of(blue: float) -> np.ndarray:
+    """The colour ``(3,)`` of light with so much blue over its red."""
+    return np.array([1, np.sqrt(blue), blue])
+
+
 def _coverage(shape: tuple[int, int], spread: float | None, rng: np.random.Generator) -> np.ndarray:
     """Of a rectangle or an ellipse, anywhere and turned anyhow, through the pixel filter."""
-    height, width = (FINE * size for size in shape)
-    fine = np.zeros((height, width), np.float32)
-    middle = rng.uniform(0, width), rng.uniform(0, height)
-    least, most = np.log(_HALF_EDGES)
-    edges = 2 * FINE * np.exp(rng.uniform(least, most, 2))
+    middle = anywhere(shape, rng)
+    sides = (2 * log_uniform(rng, _HALF_EDGES), 2 * log_uniform(rng, _HALF_EDGES))
     turned = 0.0 if rng.random() < 0.5 else rng.uniform(0, 180)
-    box = (middle, (float(edges[0]), float(edges[1])), float(turned))
-    if rng.random() < 0.5:
-        cv2.ellipse(fine, box, 1, cv2.FILLED)
-    else:
-        cv2.fillConvexPoly(fine, np.round(cv2.boxPoints(box)).astype(np.int32), 1)
-    return seen_through(fine, spread)
+    draw = ellipse if rng.random() < 0.5 else rectangle
+    return seen_through(draw(shape, middle, sides, turned), spread)
 
 
 def lit_reference(reference: np.ndarray, lamps: Sequence[Lamp]) -> np.ndarray:

@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 
 from stillray.frame import Frame
+from stillray_training.draws import log_uniform
 from stillray_training.fine_shapes import (
     FINE,
     anywhere,
     between_stripes,
-    log_uniform,
     rectangle,
     seen_through,
 )
