@@ -10,6 +10,7 @@ from stillray.families.feature_reconstruction import Accumulated, Past
 from stillray.families.past_agreement import Shown, reject_history
 from stillray.families.target_grid import Grid
 
+JITTER = (0.3, -0.4)
 SIZES = [(40, 161), (33, 148)]  # a change is noticed over windows of 96 pixels, too
 
 
@@ -22,10 +23,10 @@ def past_of(light, grid, samples=16.0):
     return Past(Accumulated(color, rest.copy(), rest.copy()), rest.copy())
 
 
-def let_go(past, light, grid, strips=None, broken=None):
+def let_go(past, light, grid, strips=None, broken=None, lines=None, jitter=JITTER):
     color = np.repeat(np.float32(light)[..., None], 3, axis=2)
     motion = np.zeros((*light.shape, 2), np.float32)
-    shown = Shown(color, broken, 0.5)
+    shown = Shown(color, broken, lines, 0.5, jitter)
     return reject_history(past, shown, grid, motion, None, strips or Strips(1))
 
 
@@ -36,7 +37,7 @@ def noisy(rng, light, samples):
 @pytest.fixture(params=[(scale, size) for scale in (1, 2) for size in SIZES])
 def grid(request):
     scale, size = request.param
-    return Grid.of(size, scale, 8, np.array([0.3, -0.4]))
+    return Grid.of(size, scale, 8, np.array(JITTER))
 
 
 def frame_size(grid):
@@ -78,6 +79,34 @@ def test_what_was_filled_in_says_nothing(rng, grid):
     past = past_of(light, grid)
     let_go(past, noisy(rng, shaded, 64), grid, broken=shaded < 0.5)
     assert past.accumulated.light[..., 3].min() == 16
+
+
+def test_outlines_say_nothing(rng, grid):
+    """All samples lie to the right of their pixels' middle, and so see more of what is there."""
+    light = np.ones(frame_size(grid))
+    lines = np.zeros(light.shape, bool)
+    lines[:, 24::16] = True
+    seen = light.copy()
+    seen[lines] = 3.0
+    for given, all_held in ((lines, True), (None, False)):
+        past = past_of(light, grid)
+        let_go(past, noisy(rng, seen, 64), grid, lines=given)
+        assert (past.accumulated.light[..., 3].min() == 16) == all_held
+
+
+def test_an_edge_is_looked_up_where_samples_lie():
+    """Pixels that an edge halves: a jitter of a quarter of a pixel sees one side of it alone."""
+    grid = Grid.of((40, 160), 2, 8, np.array([0.25, 0.0]))
+    picture = np.ones((80, 320), np.float32)
+    picture[:, 33::16] = 5.0  # every eighth pixel of the frame has 1 on the left, 5 on the right
+    shown = np.ones((40, 160))
+    shown[:, 16::8] = 5.0
+    past = past_of(np.ones((40, 160)), grid)
+    past.accumulated.light[..., :3] = picture[..., None]
+    let_go(past, shown, grid, jitter=(0.25, 0.0))
+    assert past.accumulated.light[..., 3].min() == 16
+    let_go(past, shown, grid, jitter=(0.0, 0.0))
+    assert past.accumulated.light[..., 3].min() == 0
 
 
 def test_a_past_of_which_nothing_is_known_stays_unknown(rng, grid):

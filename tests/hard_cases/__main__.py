@@ -72,7 +72,7 @@ pixels and of 3x3 blocks of 2, 4, 8, 16 and 32, D = sum(a d) / sum(a) has the st
 v (1 / sum(a) + 1 / 1500), where v, the variance of a sample, is the larger of the window's, by
 the covariance of d and x within 2x2 pixels, and of a mean over 8 frames and 48 pixels, in which
 rare bright samples show. The bias b of the past is found from coarse to fine: b <- b + r (1 - (k
-s / r)²)+, r = D - b, with k of 6.0 (2x2 pixels) to 4.0; 1 % of the light counts as no change. The
+s / r)²)+, r = D - b, with k of 4.0 to 6.0; 1 % of the light counts as no change. The
 past keeps 1 / (1 + 100 n b² / v) of its samples, and its picture, for models that look at their
 last output, as much of its validity, and none below a half.
 

@@ -245,9 +245,6 @@ _WITH_AND_WITHOUT = "error with the past / of each frame alone, 8 frames, worst 
     1.1,
     kpyr_5=_HIDDEN_BY_NOISE,
     kpyr_5s=_HIDDEN_BY_NOISE,
-    nbg_2x1=_HIDDEN_BY_NOISE,
-    nbg_2x3=_HIDDEN_BY_NOISE,
-    nbg_7x3=_HIDDEN_BY_NOISE,
     wskp_3=_HIDDEN_BY_NOISE,
     wskp_3s=_HIDDEN_BY_NOISE,
     wskp_6=_HIDDEN_BY_NOISE,
@@ -262,9 +259,6 @@ def shadow_moves_in_noise(denoiser: stillray.Denoiser) -> Iterator[float]:
     _WITH_AND_WITHOUT,
     1.1,
     nbg_7x3=_HIDDEN_BY_NOISE,
-    wskp_3=_HIDDEN_BY_NOISE,
-    wskp_6=_HIDDEN_BY_NOISE,
-    wskp_mr=_HIDDEN_BY_NOISE,
 )
 def shadow_moves_in_little_noise(denoiser: stillray.Denoiser) -> Iterator[float]:
     return _past_beside_none(denoiser, 16, 0.3)
@@ -285,9 +279,6 @@ def shadow_moves_in_quiet_frames(denoiser: stillray.Denoiser) -> Iterator[float]
     _WITH_AND_WITHOUT,
     1.1,
     kpyr_5=_HIDDEN_BY_NOISE,
-    kpyr_5s=_HIDDEN_BY_NOISE,
-    nbg_2x1=_HIDDEN_BY_NOISE,
-    nbg_2x3=_HIDDEN_BY_NOISE,
     nbg_7x3=_HIDDEN_BY_NOISE,
     wskp_3=_HIDDEN_BY_NOISE,
     wskp_3s=_HIDDEN_BY_NOISE,
@@ -306,7 +297,6 @@ def half_shadow_moves(denoiser: stillray.Denoiser) -> Iterator[float]:
     kpyr_5s=_HIDDEN_BY_NOISE,
     nbg_7x3=_HIDDEN_BY_NOISE,
     wskp_6=_HIDDEN_BY_NOISE,
-    wskp_mr=_HIDDEN_BY_NOISE,
 )
 def reflection_moves(denoiser: stillray.Denoiser) -> Iterator[float]:
     return _past_beside_none(denoiser, 16, 4.0)

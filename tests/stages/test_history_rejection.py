@@ -224,7 +224,7 @@ def confidence_by_loops(blocks, shape):
     lowest = min(3, len(pyramid) - 1)
     usual = windows_by_loops(pyramid[lowest])[3]
     bias = np.zeros(pyramid[-1].shape[1:])
-    thresholds = (6.0, 5.5, 5.2, 4.8, 4.4, 4.0)
+    thresholds = (6.0, 5.5, 4.1, 4.8, 4.4, 4.0)
     for level in reversed(range(len(pyramid))):
         held, difference, light, variance = windows_by_loops(pyramid[level])
         size = variance.shape

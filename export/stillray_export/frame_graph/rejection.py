@@ -105,10 +105,10 @@ def confidence(
         window = _Window.around(pyramid[level], level)
         at_level = _at_level(usual, level, pyramid[level])
         found = window.difference * 0 if bias is None else enlarged(bias, 2, height, width)
-        bias = _corrected(found, window, at_level, runtime._THRESHOLDS[level + 1])
+        bias = _corrected(found, window, at_level, runtime.THRESHOLDS[level + 1])
     assert bias is not None
     alone = _Window.alone(blocks, window)
-    bias = _corrected(bias, alone, at_level, runtime._THRESHOLDS[0])
+    bias = _corrected(bias, alone, at_level, runtime.THRESHOLDS[0])
     kept = _kept(bias, alone, blocks[:, :1])
     height, width = motion.shape[2:]
     return enlarged(kept, 2, height, width), noise

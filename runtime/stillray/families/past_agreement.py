@@ -1,7 +1,7 @@
 """Where light has changed though surfaces stay, the past of a picture is let go.
 
 For models whose past lies at the pixels of the picture, of which a frame may have fewer: its
-samples are compared with the mean of what was accumulated over their pixels, see
+samples are compared with what was accumulated where they lie, see
 `stillray.stages.history_rejection`.
 """
 
@@ -18,6 +18,10 @@ from stillray.families.target_grid import Grid
 from stillray.stages.features import luminance
 from stillray.stages.history_rejection import PLANES, Noise, compare, confidence
 
+# Networks that weigh the past themselves hold on to it longer than means of samples do, so a change
+# must be noticed sooner; what is lost by mistake takes no light from a picture that they make.
+_THRESHOLDS = (6.0, 5.5, 3.4, 3.1, 3.5, 3.5)
+
 #: The picture and the albedos have no samples of their own that could be worth less: below this
 #: share nothing is left of them either, and the pixel begins anew.
 LEAST_SHARE = np.float32(0.5)
@@ -33,13 +37,21 @@ class Shown:
         Radiance as it is accumulated: what stands far above its surroundings is bounded.
     broken : (h, w) bool or None
         Pixels that were filled in, and say nothing.
+    outlines : (h, w) bool or None
+        Pixels that say nothing either, see `stillray.families.outlines`: where a frame has a
+        jitter, all of its samples along an outline see more of one side, and differ from the past
+        as if its light had changed.
     exposure
         1 / radiance.
+    jitter
+        Where samples lie in their pixels, x and y, pixels from the centre.
     """
 
     color: np.ndarray
     broken: np.ndarray | None
+    outlines: np.ndarray | None
     exposure: float
+    jitter: tuple[float, float] = (0.0, 0.0)
 
 
 def reject_history(
@@ -114,7 +126,7 @@ def agreement(
         For the next frame.
     """
     blocks = _compared(light, shown, scale, strips)
-    return confidence(blocks, noise, motion, shown.exposure, strips)
+    return confidence(blocks, noise, motion, shown.exposure, strips, _THRESHOLDS)
 
 
 def _compared(light: np.ndarray, shown: Shown, scale: int, strips: Strips) -> np.ndarray:
@@ -123,12 +135,18 @@ def _compared(light: np.ndarray, shown: Shown, scale: int, strips: Strips) -> np
     blocks = np.empty((PLANES, -(-height // 2), -(-width // 2)), np.float32)
 
     def work(rows: slice) -> None:
-        before = light[scale * rows.start : scale * rows.stop, : scale * width]
         if scale > 1:
-            size = (width, rows.stop - rows.start)
-            before = cv2.resize(before, size, interpolation=cv2.INTER_AREA)
+            right, down = (scale * (0.5 + off) - 0.5 for off in shown.jitter)
+            place = np.array([[scale, 0, right], [0, scale, down + scale * rows.start]])
+            how, size = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, (width, rows.stop - rows.start)
+            whole = light[: scale * height, : scale * width]
+            before = cv2.warpAffine(whole, place, size, None, how, cv2.BORDER_REPLICATE)
+        else:
+            before = light[rows, :width]
         planes = strips.workspace.array("past of a strip", (4, *before.shape[:2]))
         weight = np.ones(before.shape[:2], np.float32)
+        if shown.outlines is not None:
+            weight[shown.outlines[rows]] = 0
         if shown.broken is not None:
             weight[shown.broken[rows]] = 0
         compare(

@@ -9,7 +9,7 @@ one large ones.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -24,10 +24,11 @@ from stillray.stages.features import luminance_of_planes
 #: Planes that `compare` fills: weight, and weighted difference, light, variance.
 PLANES = 4
 _LEVELS = 5  # blocks of 2, 4, 8, 16, 32 pixels; windows are single blocks of 2, and 3x3 blocks
-# Standard errors that a difference must exceed, from windows of one block of 2x2 pixels to 3x3
-# blocks of 32x32. Of M independent normal differences the largest is about sqrt(2 ln M) (Donoho and
-# Johnstone 1994); M windows fill 1280x720 pixels. One more, since noise is not normal.
-_THRESHOLDS = (6.0, 5.5, 5.2, 4.8, 4.4, 4.0)
+#: Standard errors that a difference must exceed, from windows of one block of 2x2 pixels to 3x3
+#: blocks of 32x32. Of M independent normal differences the largest is about sqrt(2 ln M) (Donoho
+#: and Johnstone 1994); M windows fill 1280x720 pixels. One more, since noise is not normal; but not
+#: for windows of 12 pixels, by which the shadows of moving things are noticed first.
+THRESHOLDS = (6.0, 5.5, 4.1, 4.8, 4.4, 4.0)
 _WINDOW = 3  # blocks
 _NOISE_LEVEL = 3  # blocks of 16 pixels
 _NOISE_FRAMES = 8
@@ -145,6 +146,7 @@ def confidence(
     motion: np.ndarray,
     exposure: float,
     strips: Strips,
+    thresholds: Sequence[float] = THRESHOLDS,
 ) -> tuple[np.ndarray | None, Noise]:
     """How far the past can be trusted, by its bias.
 
@@ -167,6 +169,8 @@ def confidence(
         1 / irradiance.
     strips
         Where the work runs, and is looked at.
+    thresholds
+        In the order of `THRESHOLDS`.
 
     Returns
     -------
@@ -190,9 +194,9 @@ def confidence(
         at_level = _at_level(usual, lowest, level, shape)
         look()
         bias = _doubled(bias, shape)
-        bias = _corrected(bias, window, at_level, _THRESHOLDS[level + 1], strips)
+        bias = _corrected(bias, window, at_level, thresholds[level + 1], strips)
     look()
-    kept = _confidence_of_blocks(blocks, bias, window, at_level, strips)
+    kept = _confidence_of_blocks(blocks, bias, window, at_level, thresholds[0], strips)
     if kept is None:
         return None, noise
     by_pixel = strips.workspace.array("confidence", motion.shape[:2])
@@ -344,7 +348,12 @@ def _corrected(
 
 
 def _confidence_of_blocks(
-    blocks: np.ndarray, bias: np.ndarray, window: _Window, usual: np.ndarray, strips: Strips
+    blocks: np.ndarray,
+    bias: np.ndarray,
+    window: _Window,
+    usual: np.ndarray,
+    threshold: float,
+    strips: Strips,
 ) -> np.ndarray | None:
     """What is left of the past of each block of 2x2 pixels; None where nothing is lost."""
     kept = np.empty_like(bias)
@@ -352,7 +361,7 @@ def _confidence_of_blocks(
     def work(rows: slice) -> bool:
         own = blocks[:, rows]
         alone = _Window.alone(own, window.of(rows))
-        found = _shrunk(bias[rows], alone, usual[rows], _THRESHOLDS[0])
+        found = _shrunk(bias[rows], alone, usual[rows], threshold)
         kept[rows] = _kept(found, alone, own[0])
         return bool(found.any())
 

@@ -14,8 +14,11 @@ import torch
 from torch import Tensor
 
 from stillray.arrays.strips import Strips
+from stillray.families.outlines import outlines
 from stillray.families.past_agreement import LEAST_SHARE, Shown, agreement
 from stillray_training.decoders.feature_filters import Remembered
+
+_LINES = ("rows", "columns")
 
 
 def reject_history(past: Remembered, frame: Mapping[str, Tensor], scale: int) -> Remembered:
@@ -37,23 +40,21 @@ def reject_history(past: Remembered, frame: Mapping[str, Tensor], scale: int) ->
     """
     strips = Strips(1)
     held = past.light.detach().cpu().numpy()
-    names = ("shown", "moved", "exposure", "rows", "columns")
-    given = [frame[name].cpu().numpy() for name in names]
     shares, after = [], []
-    for patch, (color, motion, exposure, rows, columns) in enumerate(zip(*given, strict=True)):
+    for patch in range(len(held)):
+        # batches are of floats alone
+        rows, columns = (frame[name][patch].cpu().numpy().astype(np.intp) for name in _LINES)
         share, noise = agreement(
             np.ascontiguousarray(held[patch].transpose(1, 2, 0)),
-            Shown(np.ascontiguousarray(color.transpose(1, 2, 0)), None, float(exposure.item())),
+            _shown(frame, patch, (rows, columns), scale),
             scale,
-            motion.transpose(1, 2, 0),
+            _pixels(frame["moved"][patch]),
             past.noises[patch] if past.noises else None,
             strips,
         )
         after.append(noise)
         whole = np.ones((len(rows), len(columns)), np.float32)
-        # batches are of floats alone
-        at = np.ix_(rows.astype(np.intp), columns.astype(np.intp))
-        shares.append(whole if share is None else share[at])
+        shares.append(whole if share is None else share[np.ix_(rows, columns)])
     kept = torch.from_numpy(np.stack(shares)[:, None]).to(past.light)
     left = kept >= float(LEAST_SHARE)
     light, albedo, specular, output = (
@@ -61,3 +62,36 @@ def reject_history(past: Remembered, frame: Mapping[str, Tensor], scale: int) ->
     )
     light = torch.cat([light[:, :3], light[:, 3:] * kept], 1)
     return Remembered(light, albedo, specular, output, noises=tuple(after))
+
+
+def _pixels(planes: Tensor) -> np.ndarray:
+    """``(h, w, c)`` of ``(c, h, w)``."""
+    return np.ascontiguousarray(planes.detach().cpu().numpy().transpose(1, 2, 0))
+
+
+def _shown(
+    frame: Mapping[str, Tensor], patch: int, lines: tuple[np.ndarray, np.ndarray], scale: int
+) -> Shown:
+    """What a patch of a frame shows; features that are left out are zeros, which have no outline.
+
+    ``lines`` are the rows and columns of the frame that those of the picture take.
+    """
+    color = _pixels(frame["shown"][patch])
+    # of each row and column of the frame the first one of the picture that takes it
+    size = color.shape[:2]
+    first = [np.searchsorted(taken, np.arange(n)) for taken, n in zip(lines, size, strict=True)]
+    offsets = frame["offset"][patch].cpu().numpy()[:, first[0][0], first[1][0]]
+    down, right = (
+        float((off + line[0] + 0.5) / scale - 0.5)
+        for off, line in zip(offsets[::-1], first, strict=True)
+    )
+    found: np.ndarray | None = None
+    if right or down:
+        at = np.ix_(*first)
+        depth, normal, albedo = (
+            np.ascontiguousarray(_pixels(frame[name][patch])[at])
+            for name in ("depth", "normal", "albedo")
+        )
+        found = outlines(depth[..., 0], normal, albedo, Strips(1))
+    exposure = float(frame["exposure"][patch].item())
+    return Shown(color, None, found, exposure, (right, down))
