@@ -110,6 +110,11 @@ def accumulated_albedo(
                 brought += weight * past[ty, tx, :3].astype(np.float64)
                 inside += weight
         around = albedo[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].reshape(-1, 3)
+        red, green, blue = brought
+        tints = np.array([(red - blue) / 2, green / 2 - (red + blue) / 4])
+        near = around.astype(np.float64) @ np.array([[0.5, -0.25], [0, 0.5], [-0.5, -0.25]])
+        orange, green = np.clip(tints, near.min(0), near.max(0)) - tints
+        brought += (orange - green, green, -orange - green)
         mean = np.clip(brought, around.min(0), around.max(0))
         no_albedo = (around >= 1).all(1)
         held = samples if inside >= 1 - 1e-3 else 0

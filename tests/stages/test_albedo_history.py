@@ -61,6 +61,21 @@ def test_the_mean_stays_in_the_range_of_the_pixels_around(rng):
     assert (got[..., :3] <= np.max(around, 0) + 1e-6).all()
 
 
+def test_what_a_red_thing_has_uncovered_is_as_grey_as_it_is():
+    """Tiles and dark grout, each pixel within the range of both: by channels alone grout is red."""
+    tiles = np.where(np.arange(24) % 3, 0.6, 0.2)[None, :, None]
+    albedo = np.ascontiguousarray(np.broadcast_to(tiles, (16, 24, 3)), np.float32)
+    past = np.ones((16, 24, 4), np.float32)
+    past[..., :3] = 0.9, 0.3, 0.3
+    got, _ = accumulate(albedo, past)
+    assert np.ptp(got[..., :3], axis=2).max() < 1e-6
+    # and a past of the same tint is kept
+    past[..., :3] = 0.5
+    got, _ = accumulate(albedo, past, samples=1)
+    inner = np.s_[:, 1:-1, :3]
+    np.testing.assert_allclose(got[inner], (albedo[inner] + 0.5) / 2, rtol=1e-6)
+
+
 def test_what_comes_from_outside_is_this_frame_s_alone(rng):
     albedo, past = draw(rng, 9, 14)
     got, remodulation_albedo = accumulate(albedo, past, np.full((9, 14, 2), 1e6, np.float32))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from stillray.stages.albedo_history import FROM_TINTS, TINTS
 from stillray_export.frame_graph.lookup import linear_taps, mean_of, planes_like
 from stillray_export.frame_graph.windows import least_around, most_around
 
@@ -42,6 +44,9 @@ def accumulate_albedo(
     assert isinstance(inside, Tensor)
     taken = planes_like(mean_of(taps, past_nhwc.flatten(0, 1), zeros=True), divisor)
     taken = torch.where(planes_like(inside, divisor) < _WHOLE, divisor, taken)
+    tints, own = _transformed(divisor, TINTS), _transformed(taken, TINTS)
+    limited = torch.minimum(torch.maximum(own, least_around(tints)), most_around(tints))
+    taken = taken + _transformed(limited - own, FROM_TINTS)
     taken = torch.minimum(torch.maximum(taken, least_around(divisor)), most_around(divisor))
     mean = taken * share + divisor * (1 - share)
     # what has no albedo was divided by 1: beside it, no more than this frame was divided by
@@ -49,3 +54,8 @@ def accumulate_albedo(
     beside = most_around(none) - least_around(none)
     mixed = torch.where(beside > 0, torch.minimum(mean, divisor), mean)
     return torch.where(held > 0, mixed, divisor), mean, samples + 1
+
+
+def _transformed(planes: Tensor, matrix: np.ndarray) -> Tensor:
+    """Planes ``(1, n, h, w)`` by a matrix of n columns."""
+    return torch.nn.functional.conv2d(planes, torch.from_numpy(matrix)[:, :, None, None])

@@ -4,8 +4,9 @@ At one sample a pixel, a frame's albedo is of one point in each pixel: filtered 
 multiplied by it has stairs where surfaces meet, and textures crawl. Every frame samples another
 point, so the mean of a few is the pixel's. No noise of light is in it, and no geometry need agree:
 where surfaces meet, the mean of theirs is what is wanted. What no longer belongs there is limited
-to the range of the 3x3 pixels around, as temporal antialiasing does it (Karis 2014, *High Quality
-Temporal Supersampling*).
+to the range of the 3x3 pixels around, of their tints and of their channels, as temporal
+antialiasing does it (Karis 2014, *High Quality Temporal Supersampling*): by channels alone, what a
+red thing has uncovered would be as red as dark and light grey allow.
 
 Where an albedo says nothing (sky, lights, mirrors), light was divided by 1, which is no albedo to
 be averaged with one. Beside such pixels a picture is multiplied by no more than it was divided by:
@@ -18,10 +19,14 @@ import cv2
 import numpy as np
 
 from stillray.arrays.strips import Strips, with_halo
+from stillray.arrays.workspace import Workspace
 from stillray.stages.reproject import bilinear
 
 _AROUND = np.ones((3, 3), np.uint8)
 _SUM = np.ones((1, 3), np.float32)
+#: Orange and green of red, green and blue (YCoCg), and what each adds to those.
+TINTS = np.array([[0.5, 0, -0.5], [-0.25, 0.5, -0.25]], np.float32)
+FROM_TINTS = np.array([[1, -1], [0, 1], [-1, -1]], np.float32)
 _STRIP_PIXELS = 1 << 16  # four channels in several arrays: they should stay in the cache
 _WHOLE = np.float32(1 - 1e-3)  # share of the taps that lay in the frame: all, up to rounding
 
@@ -62,8 +67,8 @@ def accumulate(
         frame's alone.
     out : (h, w, 4) float32 and (h, w, 3) float32
         Written: for the next frame the mean and, last, 1; and what the result is multiplied by: the
-        mean, in the range of the albedo's 3x3 pixels around; where some of those have no albedo and
-        some have, the albedo at most.
+        mean, in the range of the albedo's 3x3 pixels around, and of their tints; where some of
+        those have no albedo and some have, the albedo at most.
     strips
         Where the work runs.
     """
@@ -88,6 +93,7 @@ def accumulate(
             if inside.min() < _WHOLE:
                 outside = np.flatnonzero(inside < _WHOLE)
                 mean.reshape(-1, 3)[outside] = np.take(now.reshape(-1, 3), outside, axis=0)
+        _limit_tints(mean, albedo[around], inner, workspace)
         cv2.max(mean, least[inner], dst=mean)
         cv2.min(mean, most[inner], dst=mean)
         cv2.addWeighted(mean, share, now, 1 - share, 0, dst=mean)
@@ -102,3 +108,17 @@ def accumulate(
         mixed[at] = np.minimum(np.take(mixed, at, axis=0), np.take(own, at, axis=0))
 
     strips.run(work, height, width, pixels=_STRIP_PIXELS)
+
+
+def _limit_tints(mean: np.ndarray, around: np.ndarray, inner: slice, workspace: Workspace) -> None:
+    """Bring tints of some rows into the range of those of the 3x3 pixels around."""
+    tints = cv2.transform(around, TINTS, dst=workspace.array("tints", (*around.shape[:2], 2)))
+    least, most = (workspace.array(f"{name} tints", tints.shape) for name in ("least", "most"))
+    cv2.erode(tints, _AROUND, dst=least)
+    cv2.dilate(tints, _AROUND, dst=most)
+    own = workspace.array("own tints", (*mean.shape[:2], 2))
+    limited = workspace.array("limited tints", own.shape)
+    cv2.transform(mean, TINTS, dst=own)
+    np.clip(own, least[inner], most[inner], out=limited)
+    limited -= own  # 0 where they are within it: an albedo that stays is what it was
+    mean += cv2.transform(limited, FROM_TINTS, dst=workspace.array("added", mean.shape))
