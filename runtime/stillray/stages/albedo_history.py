@@ -24,9 +24,10 @@ from stillray.stages.reproject import bilinear
 
 _AROUND = np.ones((3, 3), np.uint8)
 _SUM = np.ones((1, 3), np.float32)
-#: Orange and green of red, green and blue (YCoCg), and what each adds to those.
-TINTS = np.array([[0.5, 0, -0.5], [-0.25, 0.5, -0.25]], np.float32)
-FROM_TINTS = np.array([[1, -1], [0, 1], [-1, -1]], np.float32)
+#: Orange and green of red, green and blue (YCoCg), and what each adds to those. The third is none:
+#: OpenCV is ten times as quick from three channels to three as to two.
+TINTS = np.array([[0.5, 0, -0.5], [-0.25, 0.5, -0.25], [0, 0, 0]], np.float32)
+FROM_TINTS = np.array([[1, -1, 0], [0, 1, 0], [-1, -1, 0]], np.float32)
 _STRIP_PIXELS = 1 << 16  # four channels in several arrays: they should stay in the cache
 _WHOLE = np.float32(1 - 1e-3)  # share of the taps that lay in the frame: all, up to rounding
 
@@ -112,13 +113,14 @@ def accumulate(
 
 def _limit_tints(mean: np.ndarray, around: np.ndarray, inner: slice, workspace: Workspace) -> None:
     """Bring tints of some rows into the range of those of the 3x3 pixels around."""
-    tints = cv2.transform(around, TINTS, dst=workspace.array("tints", (*around.shape[:2], 2)))
+    tints = cv2.transform(around, TINTS, dst=workspace.array("tints", around.shape))
     least, most = (workspace.array(f"{name} tints", tints.shape) for name in ("least", "most"))
     cv2.erode(tints, _AROUND, dst=least)
     cv2.dilate(tints, _AROUND, dst=most)
-    own = workspace.array("own tints", (*mean.shape[:2], 2))
-    limited = workspace.array("limited tints", own.shape)
-    cv2.transform(mean, TINTS, dst=own)
-    np.clip(own, least[inner], most[inner], out=limited)
-    limited -= own  # 0 where they are within it: an albedo that stays is what it was
-    mean += cv2.transform(limited, FROM_TINTS, dst=workspace.array("added", mean.shape))
+    own = cv2.transform(mean, TINTS, dst=workspace.array("own tints", mean.shape))
+    limited = cv2.max(own, least[inner], dst=workspace.array("limited tints", mean.shape))
+    cv2.min(limited, most[inner], dst=limited)
+    # 0 where they are within it: an albedo that stays is what it was
+    cv2.subtract(limited, own, dst=limited)
+    added = cv2.transform(limited, FROM_TINTS, dst=workspace.array("added", mean.shape))
+    cv2.add(mean, added, dst=mean)
