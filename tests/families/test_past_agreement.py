@@ -23,10 +23,10 @@ def past_of(light, grid, samples=16.0):
     return Past(Accumulated(color, rest.copy(), rest.copy()), rest.copy())
 
 
-def let_go(past, light, grid, strips=None, broken=None, lines=None, jitter=JITTER):
+def let_go(past, light, grid, strips=None, broken=None, albedo=None, jitter=JITTER):
     color = np.repeat(np.float32(light)[..., None], 3, axis=2)
     motion = np.zeros((*light.shape, 2), np.float32)
-    shown = Shown(color, broken, lines, 0.5, jitter)
+    shown = Shown(color, broken, 0.5, (None, None, albedo), jitter)
     return reject_history(past, shown, grid, motion, None, strips or Strips(1))
 
 
@@ -88,9 +88,10 @@ def test_outlines_say_nothing(rng, grid):
     lines[:, 24::16] = True
     seen = light.copy()
     seen[lines] = 3.0
-    for given, all_held in ((lines, True), (None, False)):
+    striped = np.where(lines[..., None], np.float32([0.9, 0.5, 0.5]), np.float32(0.5))
+    for given, all_held in ((striped, True), (None, False)):
         past = past_of(light, grid)
-        let_go(past, noisy(rng, seen, 64), grid, lines=given)
+        let_go(past, noisy(rng, seen, 64), grid, albedo=given)
         assert (past.accumulated.light[..., 3].min() == 16) == all_held
 
 

@@ -45,9 +45,8 @@ def accumulate_albedo(
     taken = planes_like(mean_of(taps, past_nhwc.flatten(0, 1), zeros=True), divisor)
     taken = torch.where(planes_like(inside, divisor) < _WHOLE, divisor, taken)
     tints, own = _transformed(divisor, TINTS), _transformed(taken, TINTS)
-    limited = torch.minimum(torch.maximum(own, least_around(tints)), most_around(tints))
-    taken = taken + _transformed(limited - own, FROM_TINTS)
-    taken = torch.minimum(torch.maximum(taken, least_around(divisor)), most_around(divisor))
+    taken = taken + _transformed(_limited(own, tints) - own, FROM_TINTS)
+    taken = _limited(taken, divisor)
     mean = taken * share + divisor * (1 - share)
     # what has no albedo was divided by 1: beside it, no more than this frame was divided by
     none = (divisor.sum(1, keepdim=True) >= 3).to(torch.float32)
@@ -59,3 +58,8 @@ def accumulate_albedo(
 def _transformed(planes: Tensor, matrix: np.ndarray) -> Tensor:
     """Planes ``(1, n, h, w)`` by a matrix of n columns."""
     return torch.nn.functional.conv2d(planes, torch.from_numpy(matrix)[:, :, None, None])
+
+
+def _limited(planes: Tensor, around: Tensor) -> Tensor:
+    """Planes within the range of others' 3x3 pixels around."""
+    return torch.minimum(torch.maximum(planes, least_around(around)), most_around(around))

@@ -27,7 +27,6 @@ from stillray.families.feature_reconstruction import (
     reconstruct,
 )
 from stillray.families.network_input import NetworkInput
-from stillray.families.outlines import outlines
 from stillray.families.past_agreement import Shown, reject_history
 from stillray.families.target_grid import Grid, dilated, recalled
 from stillray.families.target_planes import Known, Surfaces, log_depth, planes_by_name
@@ -286,21 +285,15 @@ class FeatureFiltersModel:
                 log_depth=taken("log depth", far),
                 depth_unit=1.0 if depth is None else features.depth_scale(depth),
             )
-        past, noise = self._past(plan, grid, surfaces, (color, exposure), context)
+        by = (depth, buffers.normal, buffers.albedo)
+        shown = Shown(color, buffers.broken, exposure, by, _jitter(plan.jitter))
+        past, noise = self._past(plan, grid, surfaces, shown, context)
         return _Seen(grid, frame, surfaces, past, noise)
 
     def _past(
-        self,
-        plan: UpscalePlan,
-        grid: Grid,
-        surfaces: Surfaces,
-        exposed: tuple[np.ndarray, float],
-        context: Context,
+        self, plan: UpscalePlan, grid: Grid, surfaces: Surfaces, shown: Shown, context: Context
     ) -> tuple[Past | None, Noise | None]:
-        """What still holds of the past, at the picture's pixels; and the noise of its samples.
-
-        Color, as it is accumulated, and exposure are the frame's.
-        """
+        """What still holds of the past, at the picture's pixels; and the noise of its samples."""
         buffers, strips = plan.buffers, context.strips
         if plan.past is None or buffers.motion is None:
             return None, None
@@ -312,11 +305,6 @@ class FeatureFiltersModel:
         with timed(context.timings, "reject_history"):
             if elsewhere:
                 return None, None
-            color, exposure = exposed
-            lines: np.ndarray | None = None
-            if any(jitter := _jitter(plan.jitter)):
-                lines = outlines(buffers.depth, buffers.normal, buffers.albedo, strips)
-            shown = Shown(color, buffers.broken, lines, exposure, jitter)
             return past, reject_history(past, shown, grid, buffers.motion, plan.past.noise, strips)
 
     def _exposed(self, plan: UpscalePlan, context: Context) -> tuple[float, np.ndarray]:

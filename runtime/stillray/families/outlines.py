@@ -1,4 +1,4 @@
-"""Where features tell that a pixel lies at an outline: of a thing, a fold or a pattern."""
+"""Where features tell that a pixel lies at an outline: of a thing, a fold or a stain."""
 
 from __future__ import annotations
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from stillray.arrays.strips import Strips, pixels_of, planes_of
 from stillray.families.feature_reconstruction import Past
+from stillray.families.outlines import outlines
 from stillray.families.target_grid import Grid
 from stillray.stages.features import luminance
 from stillray.stages.history_rejection import PLANES, Noise, compare, confidence
@@ -37,20 +38,20 @@ class Shown:
         Radiance as it is accumulated: what stands far above its surroundings is bounded.
     broken : (h, w) bool or None
         Pixels that were filled in, and say nothing.
-    outlines : (h, w) bool or None
-        Pixels that say nothing either, see `stillray.families.outlines`: where a frame has a
-        jitter, all of its samples along an outline see more of one side, and differ from the past
-        as if its light had changed.
     exposure
         1 / radiance.
+    features
+        Depth, normal and albedo, each or None, see `stillray.families.outlines`.
     jitter
-        Where samples lie in their pixels, x and y, pixels from the centre.
+        Where all samples lie in their pixels, x and y, pixels from the centre; 0 where they lie
+        anywhere. Where there is one, all samples along an outline see more of one side and differ
+        from the past as if its light had changed: outlines say nothing either.
     """
 
     color: np.ndarray
     broken: np.ndarray | None
-    outlines: np.ndarray | None
     exposure: float
+    features: tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None] = (None, None, None)
     jitter: tuple[float, float] = (0.0, 0.0)
 
 
@@ -133,6 +134,7 @@ def _compared(light: np.ndarray, shown: Shown, scale: int, strips: Strips) -> np
     """What `compare` gives for a whole frame."""
     height, width = shown.color.shape[:2]
     blocks = np.empty((PLANES, -(-height // 2), -(-width // 2)), np.float32)
+    lines = outlines(*shown.features, strips) if any(shown.jitter) else None
 
     def work(rows: slice) -> None:
         if scale > 1:
@@ -145,8 +147,8 @@ def _compared(light: np.ndarray, shown: Shown, scale: int, strips: Strips) -> np
             before = light[rows, :width]
         planes = strips.workspace.array("past of a strip", (4, *before.shape[:2]))
         weight = np.ones(before.shape[:2], np.float32)
-        if shown.outlines is not None:
-            weight[shown.outlines[rows]] = 0
+        if lines is not None:
+            weight[lines[rows]] = 0
         if shown.broken is not None:
             weight[shown.broken[rows]] = 0
         compare(

@@ -80,9 +80,6 @@ def accumulate(
         workspace, mean = strips.workspace, remodulation_albedo[rows]
         around, inner = with_halo(rows, 1, height)
         shape = (around.stop - around.start, width, 3)
-        least, most = (workspace.array(name, shape) for name in ("least", "most"))
-        cv2.erode(albedo[around], _AROUND, dst=least)
-        cv2.dilate(albedo[around], _AROUND, dst=most)
         now = albedo[rows]
         taken = past[rows]
         if positions is not None:
@@ -95,8 +92,7 @@ def accumulate(
                 outside = np.flatnonzero(inside < _WHOLE)
                 mean.reshape(-1, 3)[outside] = np.take(now.reshape(-1, 3), outside, axis=0)
         _limit_tints(mean, albedo[around], inner, workspace)
-        cv2.max(mean, least[inner], dst=mean)
-        cv2.min(mean, most[inner], dst=mean)
+        _limit(mean, albedo[around], inner, mean, workspace)
         cv2.addWeighted(mean, share, now, 1 - share, 0, dst=mean)
         begin(mean, next_albedo[rows])
         total = cv2.transform(albedo[around], _SUM, dst=workspace.array("total", shape[:2]))
@@ -111,15 +107,23 @@ def accumulate(
     strips.run(work, height, width, pixels=_STRIP_PIXELS)
 
 
+def _limit(
+    image: np.ndarray, around: np.ndarray, inner: slice, out: np.ndarray, workspace: Workspace
+) -> None:
+    """Bring some rows into the range of the 3x3 pixels around, channel by channel, into ``out``."""
+    least, most = (workspace.array(name, around.shape) for name in ("least", "most"))
+    cv2.erode(around, _AROUND, dst=least)
+    cv2.dilate(around, _AROUND, dst=most)
+    cv2.max(image, least[inner], dst=out)
+    cv2.min(out, most[inner], dst=out)
+
+
 def _limit_tints(mean: np.ndarray, around: np.ndarray, inner: slice, workspace: Workspace) -> None:
     """Bring tints of some rows into the range of those of the 3x3 pixels around."""
     tints = cv2.transform(around, TINTS, dst=workspace.array("tints", around.shape))
-    least, most = (workspace.array(f"{name} tints", tints.shape) for name in ("least", "most"))
-    cv2.erode(tints, _AROUND, dst=least)
-    cv2.dilate(tints, _AROUND, dst=most)
     own = cv2.transform(mean, TINTS, dst=workspace.array("own tints", mean.shape))
-    limited = cv2.max(own, least[inner], dst=workspace.array("limited tints", mean.shape))
-    cv2.min(limited, most[inner], dst=limited)
+    limited = workspace.array("limited tints", mean.shape)
+    _limit(own, tints, inner, limited, workspace)
     # 0 where they are within it: an albedo that stays is what it was
     cv2.subtract(limited, own, dst=limited)
     added = cv2.transform(limited, FROM_TINTS, dst=workspace.array("added", mean.shape))

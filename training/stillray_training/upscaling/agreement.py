@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from stillray.arrays.strips import Strips
-from stillray.families.outlines import outlines
 from stillray.families.past_agreement import LEAST_SHARE, Shown, agreement
 from stillray_training.decoders.feature_filters import Remembered
 
@@ -85,13 +84,10 @@ def _shown(
         float((off + line[0] + 0.5) / scale - 0.5)
         for off, line in zip(offsets[::-1], first, strict=True)
     )
-    found: np.ndarray | None = None
-    if right or down:
-        at = np.ix_(*first)
-        depth, normal, albedo = (
-            np.ascontiguousarray(_pixels(frame[name][patch])[at])
-            for name in ("depth", "normal", "albedo")
-        )
-        found = outlines(depth[..., 0], normal, albedo, Strips(1))
+    at = np.ix_(*first)
+    depth, normal, albedo = (
+        np.ascontiguousarray(_pixels(frame[name][patch])[at])
+        for name in ("depth", "normal", "albedo")
+    )
     exposure = float(frame["exposure"][patch].item())
-    return Shown(color, None, found, exposure, (right, down))
+    return Shown(color, None, exposure, (depth[..., 0], normal, albedo), (right, down))
