@@ -14,6 +14,7 @@ from stillray.frame import Frame
 from stillray.model_spec.training import Training
 from stillray_training.blocks import frames_of, read_blocks
 from stillray_training.bright_windows import draw_window, frame_through, reference_through
+from stillray_training.heavy_tail import draw_tail, frame_with, reference_with
 from stillray_training.small_lamps import draw_lamps, lit_frame, lit_reference
 from stillray_training.targets import read_filter, read_target
 from stillray_training.thin_shadows import draw_shadow, in_shadow, reference_in_shadow
@@ -72,6 +73,7 @@ def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True)
     # drawn by themselves: whatever the share of windows, a sequence has the same lamps
     name = zlib.crc32(sequence.name.encode())
     for own, share, paint in (
+        (4, recipe.tail_share, _with_tail),
         (3, recipe.shadow_share, _with_shadow),
         (2, recipe.window_share, _with_window),
         (1, recipe.lamp_share, _with_lamps),
@@ -80,6 +82,15 @@ def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True)
         if rng.random() < share:
             rendered = paint(rendered, rng)
     return rendered
+
+
+def _with_tail(rendered: Rendered, rng: np.random.Generator) -> Rendered:
+    tail = draw_tail(rendered.reference, rng)
+    return _painted(
+        rendered,
+        reference_with(rendered.reference, tail),
+        lambda frame, samples: frame_with(frame, tail, samples, rng),
+    )
 
 
 def _with_lamps(rendered: Rendered, rng: np.random.Generator) -> Rendered:

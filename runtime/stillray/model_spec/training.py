@@ -65,6 +65,9 @@ class Training:
     # share of sequences into which thin shadows are painted that stay where they are in the frame,
     # of models of patches, for frames without a past, [0, 1]
     shadow_share: float = 0.0
+    # share of sequences that samples of a heavy tail are painted into, as of renderers that clamp
+    # none, of models of patches, [0, 1]
+    tail_share: float = 0.0
     # share of batches whose patches have 32, 48 or 64 pixels a side, so that pictures are met whose
     # coarser levels have next to no pixels, of models of patches, [0, 1]
     small_share: float = 0.0
@@ -89,7 +92,7 @@ class Training:
         for key in (
             "quiet_power", "average", "still_share", "quiet_share", "drop_feature", "plain_share",
             "shade_share", "paint_share", "firefly_share", "lamp_share", "fresh_share",
-            "mean_share", "small_share", "window_share", "shadow_share",
+            "mean_share", "small_share", "window_share", "shadow_share", "tail_share",
         ):  # fmt: skip
             within(f"training.{key}", getattr(self, key), 0, 1)
         for key in ("steps", "batch", "patch", "frames"):

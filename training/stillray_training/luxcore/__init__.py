@@ -1,0 +1,1 @@
+"""LuxCore's scenes, to test on a renderer that no network has learned from."""
