@@ -43,6 +43,7 @@ _USUAL = {
 }
 #: A program for a process of its own: importing it imports pyluxcore.
 _RENDER = Path(__file__).with_name("render.py")
+_TOLD = ("is missing: left out", "samples a pixel")
 _COMPANIONS = {"albedo": "ALBEDO", "normal": "AVG_SHADING_NORMAL", "depth": "DEPTH"}
 
 
@@ -60,7 +61,9 @@ def rendered(checkout: Path, config: str, told: dict[str, str]) -> Frame:
         color = Path(folder) / "RGB.exr"
         if run.returncode or not color.is_file():
             raise InputError(f"LuxCore must render {config}, got {run.stderr[-500:]}")
-        print("".join(line + "\n" for line in run.stdout.splitlines() if "missing" in line), end="")
+        for line in run.stdout.splitlines():
+            if line.endswith(_TOLD):  # and not what pyluxcore says of its libraries
+                print(line, flush=True)
         return read_frame(
             color, {role: f"{folder}/{name}.exr" for role, name in _COMPANIONS.items()}
         )
@@ -94,7 +97,7 @@ def main(
             path.parent.mkdir(parents=True, exist_ok=True)
             buffers = ("color", "albedo", "normal", "depth")
             write(path, {buffer: getattr(frame, buffer) for buffer in buffers})
-            print(f"{path}: {samples} samples a pixel", flush=True)
+            print(path, flush=True)
 
 
 if __name__ == "__main__":

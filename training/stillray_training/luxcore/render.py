@@ -61,7 +61,10 @@ def render(config: Path, out: Path, told: dict[str, str]) -> None:
         time.sleep(0.05)
         session.UpdateStats()
     session.Stop()
-    session.GetFilm().SaveOutputs()
+    count = session.GetStats().Get("stats.renderengine.total.samplecount").GetFloat()
+    film = session.GetFilm()
+    print(f"{count / (film.GetWidth() * film.GetHeight()):.1f} samples a pixel")
+    film.SaveOutputs()
 
 
 if __name__ == "__main__":
