@@ -309,4 +309,44 @@ def slats_before_a_sky(denoiser: stillray.Denoiser) -> float:
     return float(image[np.arange(height) % step <= thick - 1].mean() / 0.1)
 
 
+_CLAMPS = "what is far above all around is taken away, and of such light that is a tenth and more"
+
+
+@case(
+    "samples of a heavy tail: one in 30 is 3 to 10,000 times as bright, 16 a pixel, four frames",
+    "share of pixels whose light is off by more than a quarter",
+    0.1,
+    kpyr_5=_CLAMPS,
+    nbg_2x1=_CLAMPS,
+    nbg_7x3=_CLAMPS,
+    wskp_3=_CLAMPS,
+    wskp_3s=_CLAMPS,
+    wskp_6=_CLAMPS,
+)
+def heavy_tail(denoiser: stillray.Denoiser) -> float:
+    shape, often, most = (48, 66, 16), 0.1, 1e4
+    albedo = np.full((*shape[:2], 3), (0.7, 0.6, 0.5), np.float32)
+    albedo[:, 22:44] = (0.2, 0.25, 0.3)
+    normal = np.zeros((*shape[:2], 3), np.float32)
+    normal[:24, :, 2] = normal[24:, :, 1] = 1
+    wanted = 0.2 * (1 + often * np.log(most / 3)) * albedo
+    off = []
+    for seed in range(4):
+        rng, share = np.random.default_rng(seed), 1 / 3 - 1 / most
+        usual = rng.exponential(1, shape)
+        # a sample is v times as bright or more as often as `often / v`
+        rare = (rng.random(shape) < often * share) / (rng.random(shape) * share + 1 / most)
+        light = 0.2 * (usual + rare).mean(axis=-1)
+        frame = Frame(
+            color=(light[..., None] * albedo).astype(np.float32),
+            albedo=albedo,
+            normal=normal,
+            depth=np.full(shape[:2], 4, np.float32),
+            samples=shape[2],
+        )
+        (image,) = run(denoiser, [frame])
+        off.append(np.abs(image / wanted - 1).max(axis=-1) > 0.25)
+    return float(np.mean(off))
+
+
 CASES: list[Case] = [value for value in list(globals().values()) if isinstance(value, Case)]

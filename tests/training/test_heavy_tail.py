@@ -54,6 +54,6 @@ def test_tails_take_the_picture_s_colors_and_keep_within_it():
         drawn = draw_tail(reference, np.random.default_rng(seed))
         lit = reference_with(reference, drawn)
         assert np.all(lit >= reference)
-        assert 0 < drawn.often.min() <= drawn.often.max() <= 0.1
+        assert 0 < drawn.often.min() <= drawn.often.max() <= 0.2
         added = (lit - reference)[:, 45][drawn.often[:, 45] > 1e-3]  # below, rounding shows
         np.testing.assert_allclose(added[:, 0], 4 * added[:, 2], rtol=0.02)

@@ -21,7 +21,7 @@ from stillray_training.small_lamps import usual_light
 # Of usual light, below which a sample is noise like any other, and beyond which there is none.
 _LEAST = 3.0
 _MOST = (30.0, 1e6)
-_OFTEN = (1e-4, 0.1)  # samples of usual light and more, of all
+_OFTEN = (3e-3, 0.2)  # samples of usual light and more, of all; a classroom of LuxCore has 0.07
 _PLACES = (1.0, 3.0)  # powers of e by which they come more often in places than elsewhere
 _COARSE = (2, 7)  # such places along an edge, and one more than the most
 _TEXTURE = (0.1, 3.0)  # least and most light that they are measured by, of the picture's usual

@@ -23,8 +23,8 @@ from stillray.frame import Frame
 from stillray.io.frame_file import read_frame
 from stillray_training.simulate.sequence import write
 
-#: By name, each with its configuration's file: two interiors, one of them lit through windows that
-#: samples find by chance; glass, mirrors and gloss; relief in a wineglass; caustics.
+#: By name, each with its configuration's file: two interiors that light enters by a window, things
+#: of glass and mirror, a glossy one, a box, and a glass of juice.
 SCENES = {
     "classroom": "scenes/classroom/classroom.cfg",
     "kitchen": "scenes/kitchen/kitchen.cfg",
@@ -44,6 +44,7 @@ _USUAL = {
 #: A program for a process of its own: importing it imports pyluxcore.
 _RENDER = Path(__file__).with_name("render.py")
 _TOLD = ("is missing: left out", "samples a pixel")
+_FULL = ("R", "G", "B", "depth.Z")
 _COMPANIONS = {"albedo": "ALBEDO", "normal": "AVG_SHADING_NORMAL", "depth": "DEPTH"}
 
 
@@ -96,7 +97,8 @@ def main(
             frame = rendered(checkout, config, told)
             path.parent.mkdir(parents=True, exist_ok=True)
             buffers = ("color", "albedo", "normal", "depth")
-            write(path, {buffer: getattr(frame, buffer) for buffer in buffers})
+            # a sky's light is beyond what half floats hold
+            write(path, {name: getattr(frame, name) for name in buffers}, full=_FULL)
             print(path, flush=True)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -297,15 +297,18 @@ def _clamp(stage: Stage, options: SequenceOptions, moment: buffers.Moment) -> fl
 
 
 def write(
-    path: Path, layers: dict[str, np.ndarray], attributes: dict[str, str] | None = None
+    path: Path,
+    layers: dict[str, np.ndarray],
+    attributes: dict[str, str] | None = None,
+    full: Collection[str] = _FULL,
 ) -> None:
-    """Write layers under their channel names, complete or not at all."""
+    """Write layers under their channel names, complete or not at all; in half but for some."""
     channels = {}
     for layer, names in _LAYERS.items():
         if layer in layers:
             planes = np.atleast_3d(layers[layer])
             channels.update({name: planes[..., i] for i, name in enumerate(names)})
-    formats = {name: "float" for name in _FULL if name in channels}
+    formats = {name: "float" for name in full if name in channels}
     write_channels(path, channels, formats=formats, attributes=attributes)
 
 
