@@ -52,12 +52,11 @@ def test_a_film_is_a_frame_and_lost_meshes_are_said(checkout, capsys):
     missing, count = capsys.readouterr().out.splitlines()
     assert missing == "scenes/tiny/lost.ply is missing: left out"
     assert count.endswith(" samples a pixel")
-    assert 8 <= float(count.split()[0]) < 200  # a picture so small is done before it is looked at
+    assert float(count.split()[0]) >= 8  # a picture so small has more before it is looked at
     assert frame.color.shape == (12, 16, 3)
     # a wall below an even sky sends back what it does not swallow: no camera, no tone map between
-    np.testing.assert_allclose(
-        frame.color, np.broadcast_to([1.6, 0.8, 0.4], (12, 16, 3)), rtol=0.05
-    )
+    np.testing.assert_allclose(frame.color.mean(axis=(0, 1)), [1.6, 0.8, 0.4], rtol=0.01)
+    assert np.abs(frame.color[..., 0] - 1.6).max() < 0.3  # 8 samples of which each sees the sky
     np.testing.assert_allclose(frame.albedo[6, 8], [0.8, 0.4, 0.2], rtol=1e-3)
     np.testing.assert_allclose(frame.normal[6, 8], [0, 0, 1], atol=1e-3)
     np.testing.assert_allclose(frame.depth[6, 8], 5, rtol=0.01)

@@ -18,6 +18,7 @@ from stillray_training.heavy_tail import draw_tail, frame_with, reference_with
 from stillray_training.small_lamps import draw_lamps, lit_frame, lit_reference
 from stillray_training.targets import read_filter, read_target
 from stillray_training.thin_shadows import draw_shadow, in_shadow, reference_in_shadow
+from stillray_training.thinned import draw_kept, thinned
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,6 +74,7 @@ def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True)
     # drawn by themselves: whatever the share of windows, a sequence has the same lamps
     name = zlib.crc32(sequence.name.encode())
     for own, share, paint in (
+        (5, recipe.thin_share, _thinned),
         (4, recipe.tail_share, _with_tail),
         (3, recipe.shadow_share, _with_shadow),
         (2, recipe.window_share, _with_window),
@@ -82,6 +84,15 @@ def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True)
         if rng.random() < share:
             rendered = paint(rendered, rng)
     return rendered
+
+
+def _thinned(rendered: Rendered, rng: np.random.Generator) -> Rendered:
+    kept = draw_kept(rendered.reference, rng)
+    return _painted(
+        rendered,
+        rendered.reference,
+        lambda frame, samples: thinned(frame, kept, samples, rng),
+    )
 
 
 def _with_tail(rendered: Rendered, rng: np.random.Generator) -> Rendered:

@@ -24,14 +24,12 @@ from stillray.io.frame_file import read_frame
 from stillray_training.simulate.sequence import write
 
 #: By name, each with its configuration's file: two interiors that light enters by a window, things
-#: of glass and mirror, a glossy one, a box, and a glass of juice.
+#: of glass and mirror, and a glossy head.
 SCENES = {
     "classroom": "scenes/classroom/classroom.cfg",
     "kitchen": "scenes/kitchen/kitchen.cfg",
     "simple-mat": "scenes/simple-mat/simple-mat.cfg",
     "alloy": "scenes/alloy/alloy.cfg",
-    "cornell": "scenes/cornell/cornell.cfg",
-    "juice": "scenes/juice/render.cfg",
 }
 _STILLS = (1, 4, 16, 64)  # samples a pixel
 #: What BlendLuxCore takes unless it is told otherwise.
@@ -97,7 +95,7 @@ def main(
             frame = rendered(checkout, config, told)
             path.parent.mkdir(parents=True, exist_ok=True)
             buffers = ("color", "albedo", "normal", "depth")
-            # a sky's light is beyond what half floats hold
+            # nothing is clamped: samples may be beyond what half floats hold
             write(path, {name: getattr(frame, name) for name in buffers}, full=_FULL)
             print(path, flush=True)
 

@@ -70,8 +70,8 @@ def render(config: Path, out: Path, told: dict[str, str]) -> None:
 if __name__ == "__main__":
     checkout, config, out, told = sys.argv[1:]
     target = Path(out).resolve()
-    os.chdir(checkout)
+    os.chdir(checkout)  # which scenes name their files from
     pyluxcore.Init(lambda _: None)
-    render(Path(config).resolve(), target, json.loads(told))
+    render(Path(config), target, json.loads(told))
     sys.stdout.flush()
     os._exit(0)  # it crashes when Python ends
