@@ -20,6 +20,7 @@ import numpy as np
 import onnxruntime  # noqa: F401
 
 import stillray
+from stillray.pixel_filter import filter_spread
 
 #: The film's outputs by the names of a frame's buffers, and their channels.
 OUTPUTS = {
@@ -49,24 +50,24 @@ def spread_of(properties: Any) -> float | None:
     """
 
     def told(name: str, usual: Any) -> Any:
-        found = properties.Get(f"film.filter.{name}") if name in names else None
-        return usual if found is None else type(usual)(found.GetString())
+        name = f"film.filter.{name}"
+        return (
+            type(usual)(properties.Get(name).GetString()) if properties.IsDefined(name) else usual
+        )
 
-    names = {name.removeprefix("film.filter.") for name in properties.GetAllNames("film.filter")}
     kind = told("type", "BLACKMANHARRIS")
-    width = 0.5 if kind == "NONE" else told("xwidth", told("width", 2.0))
-    x = (np.arange(1000) + 0.5) / 1000
-    if kind in ("NONE", "BOX"):
-        weights = np.ones_like(x)
-    elif kind == "GAUSSIAN":
-        alpha = told("gaussian.alpha", 2.0)
-        weights = np.exp(-alpha * (width * x) ** 2) - np.exp(-alpha * width**2)
-    elif kind == "BLACKMANHARRIS":
-        terms = (0.35875, 0.48829, 0.14128, 0.01168)
-        weights = sum(term * np.cos(np.pi * k * x) for k, term in enumerate(terms))
-    else:
+    width = told("xwidth", told("width", 2.0))
+    if kind == "NONE":
+        return filter_spread("box")
+    if kind == "BOX":
+        return filter_spread("box", 2 * width)
+    if kind == "BLACKMANHARRIS":
+        return filter_spread("blackman-harris", width)
+    if kind != "GAUSSIAN":
         return None
-    return float(width * np.sqrt(np.average(x**2, weights=weights)))
+    x, alpha = np.linspace(0, width, 1000), told("gaussian.alpha", 2.0)
+    weights = np.exp(-alpha * x**2) - np.exp(-alpha * width**2)  # it ends at its width
+    return float(np.sqrt(np.average(x**2, weights=weights)))
 
 
 def samples_of(session: Any) -> float:

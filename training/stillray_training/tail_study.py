@@ -7,8 +7,8 @@ the first column is the frame as it was rendered.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from statistics import fmean
 from typing import Annotated
@@ -22,8 +22,8 @@ from stillray.cli import program
 from stillray.compare.metrics import evaluate
 from stillray.frame import Frame
 from stillray.pipeline.denoiser import Denoiser
-from stillray.pixel_filter import parse_filter
-from stillray_training.evaluate.cases import Case, find_cases
+from stillray_training.evaluate.__main__ import find_all
+from stillray_training.evaluate.cases import Case
 from stillray_training.heavy_tail import Tail, frame_with, light_of, reference_with
 from stillray_training.peers import find_peer
 
@@ -48,12 +48,13 @@ def shown(case: Case, often: float) -> tuple[Frame, np.ndarray]:
     )
 
 
-def scores(cases: list[Case], denoise: Denoise) -> list[float]:
-    """PSNR as displayed for each of `OFTEN`, dB, mean of the cases."""
-    found = []
+def scores(cases: list[Case], denoise: Mapping[str, Denoise]) -> dict[str, list[float]]:
+    """PSNR as displayed by method, for each of `OFTEN`, dB, mean of the cases."""
+    found: dict[str, list[float]] = {name: [] for name in denoise}
     for often in OFTEN:
         pairs = [shown(case, often) for case in cases]
-        found.append(fmean(_psnr(denoise(frame), reference) for frame, reference in pairs))
+        for name, each in denoise.items():
+            found[name].append(fmean(_psnr(each(frame), wanted) for frame, wanted in pairs))
     return found
 
 
@@ -65,27 +66,24 @@ def main(
     folder: Annotated[Path, typer.Argument(help="As for stillray-evaluate.")],
     model: Annotated[list[str] | None, typer.Option(help="Model, or an .onnx; repeatable.")] = None,
     peer: Annotated[list[str] | None, typer.Option(help="oidn-high and so on; repeatable.")] = None,
-    counts: Annotated[list[int] | None, typer.Option("--count", help="4, 16, 64.")] = None,
-    pixel_filter: Annotated[str, typer.Option(help="Of the frames.")] = "box",
+    counts: Annotated[
+        list[int] | None, typer.Option("--count", help="Samples a pixel; repeatable.")
+    ] = None,
+    pixel_filter: Annotated[str, typer.Option(help="As for stillray-evaluate.")] = "box",
 ) -> None:
     """Print PSNR by how often samples are so bright, of each count."""
     methods: dict[str, Denoise] = {"noisy": lambda frame: frame.color}
-    streams = []
-    for name in model or ["kpyr-5-still", "kpyr-5s-still"]:
-        streams.append(Denoiser(name, temporal=False))
-        methods[name] = streams[-1].denoise
-    for name in peer or []:
-        methods[name] = find_peer(name).make().denoise
-    spread = parse_filter(pixel_filter)
-    for count in counts or _COUNTS:
-        cases = find_cases(folder, kinds=("stills",), counts=(count,))
-        cases = [replace(case, filter_spread=spread) for case in cases]
-        table = Table(f"{count} samples", *(f"{often:g}" for often in OFTEN), box=None)
-        for name, denoise in methods.items():
-            table.add_row(name, *(f"{value:.2f}" for value in scores(cases, denoise)))
-        Console(width=100).print(table)
-    for stream in streams:
-        stream.close()
+    with ExitStack() as streams:
+        for name in model or ["kpyr-5-still", "kpyr-5s-still"]:
+            methods[name] = streams.enter_context(Denoiser(name, temporal=False)).denoise
+        for name in peer or []:
+            methods[name] = find_peer(name).make().denoise
+        for count in counts or _COUNTS:
+            cases = find_all([str(folder)], ("stills",), (count,), pixel_filter)
+            table = Table(f"{count} samples", *(f"{often:g}" for often in OFTEN), box=None)
+            for name, values in scores(cases, methods).items():
+                table.add_row(name, *(f"{value:.2f}" for value in values))
+            Console(width=100).print(table)
 
 
 if __name__ == "__main__":

@@ -43,12 +43,7 @@ def render(config: Path, out: Path, told: dict[str, str]) -> None:
     properties = pyluxcore.Properties(str(config))
     for start in _OURS:
         properties.DeleteAll(properties.GetAllNames(start))
-    file = properties.Get("scene.file").GetString()
-    if (
-        "/" not in file
-    ):  # most name their files from the checkout's root, some from their own folder
-        os.chdir(config.parent)
-    scene = scene_of(file)
+    scene = scene_of(properties.Get("scene.file").GetString())
     for index, name in enumerate(OUTPUTS):
         told[f"film.outputs.{index}.type"] = name
         told[f"film.outputs.{index}.filename"] = str(out / f"{name}.exr")
