@@ -250,6 +250,19 @@ def kernel_pyramid(
         features = np.log(compared[: options.filter_features])
         pair = compared[options.filter_features + 2 * index :][:2] * less
         result = _by_likeness(result, features, pair[0], pair[1], distance)
+    albedo = albedo.astype(np.float64)
+    for distance in options.albedo_filters:
+        before = albedo.copy()
+        for y, x in np.ndindex(height, width):
+            choices, shares = [before[y, x]], [1.0]
+            for index, (down, right) in enumerate(around):
+                at = (
+                    min(max(y + distance * down, 0), height - 1),
+                    min(max(x + distance * right, 0), width - 1),
+                )
+                choices.append(before[at])
+                shares.append(weights[0][-10 + index, y, x] ** 2)
+            albedo[y, x] = np.average(choices, axis=0, weights=shares)
     radiance = result[:height, :width] * albedo
     resolved, tone = np.zeros_like(radiance), options.resolve_tone * exposure
     for y, x in np.ndindex(height, width):

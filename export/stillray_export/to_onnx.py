@@ -193,7 +193,9 @@ def as_specified_now(trained: ModelSpec) -> ModelSpec:
     if now.family != trained.family or now.network != trained.network:
         return trained
     # rules as well: no output of the network is there for them
-    names = ("filter_tone", "resolve_tone", "sharp_recall", "learning_rate")
+    names = (
+        "filter_tone", "resolve_tone", "albedo_filters", "sharp_recall", "learning_rate",
+    )  # fmt: skip
     rules = {name: value for name, value in vars(trained.decoder).items() if name in names}
     if dataclasses.replace(now.decoder, **rules) != trained.decoder:
         return trained

@@ -123,6 +123,17 @@ def test_filters_of_the_finest_level_equal_the_loop_oracle(height, width, distan
         np.testing.assert_allclose(got, expected, rtol=5e-6)
 
 
+@pytest.mark.parametrize("distances", [(1,), (4, 2), (30, 3, 1)])
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 1), (9, 14), (41, 18)])
+def test_an_averaged_albedo_equals_the_loop_oracle(height, width, distances):
+    options = dataclasses.replace(OPTIONS, albedo_filters=distances)
+    inputs = draw(height, width, options=options)
+    expected = oracles.kernel_pyramid(*inputs, options)
+    for strips in (Strips(1), Strips(3), Strips(1, pixels=64)):
+        got = filtered(*inputs, options, strips)
+        np.testing.assert_allclose(got, expected, rtol=5e-6)
+
+
 def filters_alone(height, width, options):
     """Logits of two levels by which the finest is its own light, filtered; and their layout."""
     layout = level_layout(0, 2, options)

@@ -173,6 +173,14 @@ def test_a_multi_resolution_model_does_not_work_on_blocks():
         parse(data)
 
 
+@pytest.mark.parametrize("distances", [[0], [4, 64], [-1]])
+def test_albedo_is_averaged_over_distances_within_reach(distances):
+    data = json.loads(load("kpyr-5").to_json())
+    data["decoder"]["albedo_filters"] = distances
+    with pytest.raises(SpecError, match=rf"decoder.albedo_filters .*got .*{distances[-1]}"):
+        from_json(json.dumps(data))
+
+
 @pytest.mark.parametrize(
     ("filters", "features", "message"),
     [

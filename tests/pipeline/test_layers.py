@@ -82,6 +82,21 @@ def test_layers_add_up_where_a_lamp_is_put_back(model):
             np.testing.assert_allclose(added(layers), image, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("model", ["kpyr-5s", "kpyr-5"])
+def test_layers_add_up_where_the_light_of_rare_samples_is_put_back(model, rng):
+    """And where a lamp stands in it."""
+    with stillray.Denoiser(model) as denoiser:
+        for index, frame in enumerate(frames(4)):
+            alone = denoiser.state
+            plain = denoiser.denoise(frame)
+            denoiser.state = alone
+            frame.color[rng.random((HEIGHT, WIDTH)) < 0.05] *= 100
+            frame.color[20:23, 10 + 5 * index : 14 + 5 * index] = (30, 25, 20)
+            image, layers = denoiser.denoise_layers(frame, split(frame.color, index))
+            assert image.mean() > 1.2 * plain.mean()
+            np.testing.assert_allclose(added(layers), image, rtol=2e-5, atol=1e-4)
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_beauty_is_the_same_with_layers_and_without(model):
     with stillray.Denoiser(model) as alone, stillray.Denoiser(model) as together:

@@ -17,6 +17,7 @@ from stillray_training.decoders.boxes import BoxMean
 from stillray_training.decoders.fused_kernels import fused_kernels
 from stillray_training.decoders.multires import multi_resolution_kernels
 from stillray_training.decoders.pyramid import (
+    averaged_albedo,
     blended_with_sample,
     kernel_pyramid,
     level_parts,
@@ -81,7 +82,8 @@ def _pyramid(
         batch["irradiance"], batch["samples"], batch["new"], batch["worth"], finest.sample_blend
     )
     image = kernel_pyramid(light, samples, maps, spec.decoder, box, batch["exposure"])
-    image = image * batch["divisor"]
+    divisor = averaged_albedo(batch["divisor"], finest.resolve, spec.decoder.albedo_filters)
+    image = image * divisor
     # of a box, whatever filter a patch has: recipes whose scenes have others train with 0
     toned = spec.decoder.resolve_tone
     tone = toned * batch["exposure"] if toned else None

@@ -24,8 +24,9 @@ class Prepared:
     ----------
     irradiance, held
         Accumulated, and the samples that each pixel holds.
-    light, local
-        Luminance of this frame's irradiance; of what is usual around a pixel, tone-mapped.
+    light, radiance, local
+        Luminance of this frame's irradiance, and of its radiance; of what is usual around a pixel,
+        tone-mapped.
     albedo, normal, depth
         0 where not given.
     divisor, previous, valid
@@ -40,6 +41,7 @@ class Prepared:
     irradiance: Tensor
     held: Tensor
     light: Tensor
+    radiance: Tensor
     local: Tensor
     albedo: Tensor
     normal: Tensor

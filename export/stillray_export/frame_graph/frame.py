@@ -28,6 +28,7 @@ from stillray_export.frame_graph.exposure import depth_scale, frame_exposure, st
 from stillray_export.frame_graph.lamps import restored
 from stillray_export.frame_graph.light import local_luminance, tone_map
 from stillray_export.frame_graph.lookup import grid
+from stillray_export.frame_graph.rare_light import rare_light_gain
 from stillray_export.frame_graph.recall import forget_uncovered, recall
 from stillray_export.frame_graph.reflections import follow_reflections, light_of
 from stillray_export.frame_graph.rejection import Noise, compare, confidence
@@ -39,6 +40,7 @@ from stillray_training.decoders.boxes import pooled_box_mean
 from stillray_training.decoders.demodulate import divisor
 from stillray_training.decoders.luminance import luminance
 from stillray_training.decoders.pyramid import (
+    averaged_albedo,
     blended_with_sample,
     kernel_pyramid,
     level_parts,
@@ -210,6 +212,7 @@ class FrameGraph(nn.Module):
             irradiance=mean,
             held=total,
             light=light,
+            radiance=luminance(frame.color),
             local=local,
             albedo=frame.albedo.clamp(min=0),
             normal=frame.normal,
@@ -317,8 +320,9 @@ class FrameGraph(nn.Module):
         scale = frame.exposure.reshape(1, 1, 1, 1)  # of irradiance; of the picture see below
         image = kernel_pyramid(light, held, maps, self.options, pooled_box_mean, scale)
         # what was added to whole cells goes before pixels are mixed with their neighbours
-        image = image[..., :height, :width] * frame.divisor
         weights = maps[0].resolve[..., :height, :width]
+        by = averaged_albedo(frame.divisor, weights, self.options.albedo_filters)
+        image = image[..., :height, :width] * by
         tone: Tensor | None = None
         if toned := self.options.resolve_tone:
             exposure = self._exposure(frame).reshape(1, 1, 1, 1)
@@ -326,10 +330,13 @@ class FrameGraph(nn.Module):
         image = resolve(image, weights, frame.previous, frame.valid, tone)
         if self.spec.relief.window:
             image = image * self._relief(frame, image)
-        if not self.spec.lamps.restored:
-            return image, image
-        own = sample[:, :3] * frame.divisor
-        return image, restored(image, own, self._exposure(frame))
+        picture, exposure = image, self._exposure(frame)
+        if self.spec.lamps.restored:
+            picture = restored(image, sample[:, :3] * frame.divisor, exposure)
+        if not self.spec.rare_light.restored:
+            return image, picture
+        gain = rare_light_gain(picture, frame.radiance, exposure)
+        return image * gain, picture * gain
 
     def _relief(self, frame: Prepared, image: Tensor) -> Tensor:
         """What the picture is multiplied by, see `stillray.stages.relief`."""

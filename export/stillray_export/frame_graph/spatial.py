@@ -77,6 +77,7 @@ def alone(model: FrameGraph, frame: Buffers) -> tuple[Prepared, Tensor]:
         irradiance=mean,
         held=total,
         light=light,
+        radiance=luminance(frame.color),
         local=local,
         albedo=frame.albedo,
         normal=frame.normal,

@@ -41,6 +41,9 @@ def kernel_pyramid_cost(levels: int, options: PyramidKernels) -> tuple[float, fl
     if options.filter_tone:  # a share by luminance, then two products with it a filter
         operations += 3 * 2 + 2 + EXP + 2 * len(options.finest_filters)
         planes += 1
+    # eight weights squared, three channels
+    operations += len(options.albedo_filters) * (8 * (EXP + 2 + 3 * 2) + 3)
+    planes += len(options.albedo_filters) * (8 + 3 + 3)
     resolve = 9 * (1 + 3 * 2) + 3 + 3  # eight neighbours and the past; normalised, modulated
     return operations + resolve, planes
 

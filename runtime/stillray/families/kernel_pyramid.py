@@ -19,13 +19,14 @@ import numpy as np
 
 from stillray.arrays.extend import extended
 from stillray.arrays.strips import Strips, planes_of
+from stillray.families.albedo_average import averaged
 from stillray.families.cost import kernel_pyramid_cost
 from stillray.families.finest_filters import filter_finest
 from stillray.families.gaussian import share_of_bright
 from stillray.families.layer_filter import Outputs
 from stillray.families.logit_maps import LogitMaps, holds_nan, without_nan
 from stillray.families.pyramid_level import Level, pooled
-from stillray.families.pyramid_logits import level_layout, seen_from
+from stillray.families.pyramid_logits import NEIGHBOURS, level_layout, seen_from
 from stillray.families.pyramid_resolve import Finest, tone
 from stillray.families.pyramid_upsample import Doubled
 from stillray.families.temporal_kernels import Looks, TemporalKernels
@@ -93,7 +94,7 @@ class KernelPyramidModel(TemporalKernels):
         # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, and the resolve
         radii = (size // 2 for size in spec.decoder.kernel_sizes)
         radius = max(*radii, *spec.decoder.finest_neighbours, int(spec.decoder.predicted))
-        filters = sum(spec.decoder.finest_filters)
+        filters = max(sum(spec.decoder.finest_filters), sum(spec.decoder.albedo_filters))
         looks = Looks(
             reach=3 * (coarsest - 1) + radius * coarsest + filters + 1,
             receptive_field=receptive_field(spec.network),
@@ -244,15 +245,21 @@ def _finest(
         Level(pyramid[level], coarser, maps[level], layout, options).blended(strips, blended)
         coarser = Doubled(blended, maps[level], layout.double)
     top = Level(pyramid[0], coarser, maps[0], finest, options)
+    albedo: np.ndarray | None = None
+    if options.albedo_filters and light.remodulation_albedo is not None:
+        neighbours = slice(finest.resolve.start, finest.resolve.start + len(NEIGHBOURS))
+        albedo = averaged(
+            light.remodulation_albedo, maps[0], neighbours, options.albedo_filters, strips
+        )
     if not finest.filter_distances:
-        return Finest(top)
+        return Finest(top, albedo=albedo)
     size = pyramid[0].shape[1:]
     filtered, shares = filter_finest(
         lambda rows, out: top.blend(rows, out, strips.workspace),
         (size[0], size[1]), maps[0], finest, strips,
         _share(shares, light.exposure, options.filter_tone),
     )  # fmt: skip
-    return Finest(top, filtered, shares)
+    return Finest(top, filtered, shares, albedo)
 
 
 def _share(

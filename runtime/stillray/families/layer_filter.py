@@ -16,6 +16,7 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
+from stillray.arrays.gain import multiply_all
 from stillray.arrays.strips import Strips, interleave, planes_of
 from stillray.arrays.workspace import Workspace
 from stillray.families.contract import Context, Layer
@@ -28,7 +29,6 @@ from stillray.stages import reproject as rep
 from stillray.stages.decide import TemporalPlan
 from stillray.stages.lamps import Restored, own_light
 from stillray.stages.prepare import discontinuities
-from stillray.stages.relief import multiply
 from stillray.stages.repair import fill
 from stillray.stages.state import Filterable, LayerPast, Prepared, filterable
 
@@ -70,10 +70,13 @@ class Shading:
     restored
         The light of small lamps then, and what was there before, see `stillray.stages.lamps`;
         None where nobody looked for it.
+    rare : (h, w) float32 or None
+        What it was multiplied by last, see `stillray.stages.rare_light`; None where it was not.
     """
 
     gain: np.ndarray | None = None
     restored: tuple[Restored, np.ndarray] | None = None
+    rare: np.ndarray | None = None
 
 
 class FilteredLayers:
@@ -128,13 +131,9 @@ class FilteredLayers:
         image = mean_picture(
             self._kernels.reconstruct(own, outputs, self._strips, {}) for outputs in self._frozen
         )
-        if self._shading.gain is not None and layer.is_light:
-            gain, strips = self._shading.gain, self._strips
-
-            def shade(rows: slice) -> None:
-                multiply(image[rows], gain[rows], strips.workspace)
-
-            strips.run(shade, *gain.shape)
+        for gain in (self._shading.gain, self._shading.rare):
+            if gain is not None and layer.is_light:
+                multiply_all(image, gain, self._strips)
         if self._plan.wants.temporal:
             output: np.ndarray | None = None
             if self._plan.wants.previous_output:
@@ -144,6 +143,10 @@ class FilteredLayers:
             restored, _ = self._shading.restored
             light = own_light(own.sample, own.mean)
             restored.put_back(image, light, own.remodulation_albedo)
+            if self._shading.rare is not None:
+                image[restored.rows, restored.columns] *= self._shading.rare[
+                    restored.rows, restored.columns, None
+                ]
         return image
 
     def _demodulated(

@@ -97,7 +97,7 @@ class Level:
         for weight in self.logits.weights(at, rows, weights):
             normal += weight
         margin, count = max(distances), len(NEIGHBOURS)
-        padded = _padded(self.planes[:3], rows, margin, workspace)
+        padded = with_margin(self.planes[:3], rows, margin, workspace)
         for index, distance in enumerate(distances):
             crop = slice(margin - distance, distance - margin or None)
             near = padded[:, crop, crop]
@@ -164,7 +164,7 @@ def repeat_border(padded: np.ndarray, *, top: bool, bottom: bool) -> None:
         padded[..., -1, :] = padded[..., -2, :]
 
 
-def _padded(planes: np.ndarray, rows: slice, margin: int, workspace: Workspace) -> np.ndarray:
+def with_margin(planes: np.ndarray, rows: slice, margin: int, workspace: Workspace) -> np.ndarray:
     """Rows of ``(3, h, w)`` with a margin of pixels on each side, repeated at the border."""
     height, width = planes.shape[1:]
     near, inner = with_halo(rows, margin, height)

@@ -38,11 +38,14 @@ class Finest:
         The level as its last filters left it, which is then not blended again.
     shares : (h, w) float32 or None
         What its pixels weighed in those filters.
+    albedo : (3, h, w) float32 or None
+        That it is multiplied by in place of the frame's, see `stillray.families.albedo_average`.
     """
 
     level: Level
     filtered: np.ndarray | None = None
     shares: np.ndarray | None = None
+    albedo: np.ndarray | None = None
 
     def resolve(
         self,
@@ -103,7 +106,9 @@ class Finest:
             self.level.blend(around, padded[:, filled, 1:-1], workspace)
         else:
             padded[:, filled, 1:-1] = self.filtered[:, around]
-        if light.remodulation_albedo is not None:
+        if self.albedo is not None:
+            padded[:, filled, 1 : 1 + width] *= self.albedo[:, around]
+        elif light.remodulation_albedo is not None:
             by = workspace.array("by", (3, around.stop - around.start, width))
             padded[:, filled, 1 : 1 + width] *= planes_of(light.remodulation_albedo[around], out=by)
         padded = padded[:, :, : width + 2]

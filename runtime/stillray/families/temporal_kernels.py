@@ -24,7 +24,7 @@ from stillray.families.views import VIEWS, View, mean_picture
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
 from stillray.models.steps import in_numbers
-from stillray.stages import features, lamps, previous_output, relief
+from stillray.stages import features, lamps, previous_output, rare_light, relief
 from stillray.stages.decide import TemporalPlan, Wants, decide
 from stillray.stages.means import Means
 from stillray.stages.plan import Plan, Stage
@@ -180,6 +180,11 @@ class TemporalKernels(ABC):
             Stage("remodulate", modulates, why),
             *self._relief(frame),
             *([Stage("lamps", True, lamps.TOLD)] if self.spec.lamps.restored else []),
+            *(
+                [Stage("rare_light", True, rare_light.TOLD)]
+                if self.spec.rare_light.restored
+                else []
+            ),
             Stage("layers", layers > 0, f"{layers} other layers" if layers else "none are given"),
             Stage("keep_output", remembers, why_remember),
         ]
@@ -218,6 +223,7 @@ class TemporalKernels(ABC):
         """What is put back into a picture, which is changed."""
         gain: np.ndarray | None = None
         restored: tuple[lamps.Restored, np.ndarray] | None = None
+        rare: np.ndarray | None = None
         strips, workspace = context.strips, context.workspace
         if plan.runs("relief"):
             with timed(context.timings, "relief"):
@@ -225,7 +231,14 @@ class TemporalKernels(ABC):
         if plan.runs("lamps"):
             with timed(context.timings, "lamps"):
                 restored = lamps.restore(image, prepared, strips, workspace)
-        return Shading(gain=gain, restored=restored)
+        if plan.runs("rare_light"):
+            color, exposure = plan.before_network.buffers.color, prepared.history.exposure
+            with timed(context.timings, "rare_light"):
+                rare = rare_light.restore(image, color, exposure, strips, workspace)
+            if rare is not None and restored is not None:
+                found, before = restored
+                before *= rare[found.rows, found.columns, None]
+        return Shading(gain=gain, restored=restored, rare=rare)
 
     def prepare(self, plan: KernelPlan, context: Context) -> tuple[Prepared, np.ndarray | None]:
         """A frame as it is before the network, and the previous output at its pixels."""

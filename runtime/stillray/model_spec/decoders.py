@@ -102,6 +102,10 @@ class PyramidKernels(Decoder):
     # the network says, x and y being the exposed luminance of pixel and neighbour; 0: all of it.
     # Less where the renderer's pixel filter is softer than a box, up to none of it.
     resolve_tone: float = 0.0
+    # Distances, in pixels, at which the albedo that the picture is multiplied by is averaged with
+    # its eight neighbours, one after the other, weighed by the squares of what the resolve weighs
+    # them: where the resolve is wide open, at what a lens does not show sharp, albedo is noise.
+    albedo_filters: tuple[int, ...] = ()
     # Views of a frame whose pictures are averaged, 1 to 4, see `stillray.families.views`.
     ensemble: int = 1
 
@@ -113,6 +117,7 @@ class PyramidKernels(Decoder):
         within("decoder.resolve_tone", self.resolve_tone, 0, _MOST_TONE)
         each("decoder.finest_neighbours", self.finest_neighbours, 1, _MAX_WINDOW // 2)
         each("decoder.finest_filters", self.finest_filters, 1, _MAX_WINDOW // 2)
+        each("decoder.albedo_filters", self.albedo_filters, 1, _MAX_WINDOW // 2)
         within(
             "decoder.filter_features",
             self.filter_features,

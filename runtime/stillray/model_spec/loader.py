@@ -32,7 +32,15 @@ from stillray.model_spec.networks import (
 )
 from stillray.model_spec.planes import PIXEL_FILTER
 from stillray.model_spec.rules import MAX_NAME, SpecError, brief, odd, one_of, within
-from stillray.model_spec.stages import Demodulate, Inputs, Lamps, Relief, Temporal, Transfer
+from stillray.model_spec.stages import (
+    Demodulate,
+    Inputs,
+    Lamps,
+    RareLight,
+    Relief,
+    Temporal,
+    Transfer,
+)
 from stillray.model_spec.training import Training
 
 FORMAT = 1
@@ -75,6 +83,7 @@ class ModelSpec:
     # Models that were exported before it was known have none.
     relief: Relief = Relief()  # noqa: RUF009  a value that nobody can change
     lamps: Lamps = Lamps()  # noqa: RUF009  the same
+    rare_light: RareLight = RareLight()  # noqa: RUF009  the same
     # How it differs from the paper it follows, "what the paper says; here what is done". Prose:
     # no part of what a model is, and models that were exported before it was known lack it.
     differs: tuple[str, ...] = dataclasses.field(default=(), compare=False)
@@ -139,12 +148,13 @@ class ModelSpec:
         """The spec as JSON text, as it is embedded in a model file."""
         data = dataclasses.asdict(self)
         # as before they were known
-        for name, unsaid in (("differs", ()), ("relief", Relief()), ("lamps", Lamps())):
-            if getattr(self, name) == unsaid:
+        for name in ("differs", "relief", "lamps", "rare_light"):
+            if getattr(self, name) == _UNSAID[name]:
                 del data[name]
         return json.dumps(data, sort_keys=True)
 
 
+_UNSAID = {"differs": (), "relief": Relief(), "lamps": Lamps(), "rare_light": RareLight()}
 FAMILIES = {
     "weight-sharing-kernels": Family(ImportanceNetwork, FusedKernels),
     "kernel-pyramid": Family(PyramidNetwork, PyramidKernels),

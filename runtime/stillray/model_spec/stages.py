@@ -39,6 +39,13 @@ class Lamps:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RareLight:
+    """Light of rare samples that is put back, see `stillray.stages.rare_light`."""
+
+    restored: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class Transfer:
     """From scene-linear irradiance to network features."""
 

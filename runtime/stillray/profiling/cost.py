@@ -180,6 +180,9 @@ def _each_pixel(family: TemporalKernels, frame: Frame) -> dict[str, tuple[float,
         "reconstruct": (operations, planes),
         "remodulate": (3, 3),
         "lamps": LAMPS,
+        # two luminances, the picture around, how far above it and next to it, each limited and
+        # halved thrice; of blocks nothing to speak of
+        "rare_light": (2 * 5 + 4 + 2 + 1 + 2 * 2, 2 * 3 + 2),
         # three window sums, what pixels count, two luminances and what was taken; fifteen products
         # and their sums; three slopes between blocks, the gain of three channels
         "relief": (

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.bounds import at_most
+from stillray.arrays.gain import multiply
 from stillray.arrays.strips import STRIP_PIXELS, Strips, planes_of, with_halo
 from stillray.arrays.workspace import Workspace
 from stillray.stages.features import luminance
@@ -110,12 +111,6 @@ def shade(
 
     strips.run(tell, height, width)
     return gain
-
-
-def multiply(image: np.ndarray, gain: np.ndarray, workspace: Workspace) -> None:
-    """Multiply an ``(h, w, 3)`` image by a gain ``(h, w)``."""
-    of_colors = workspace.array("gain of colors", image.shape)
-    image *= cv2.cvtColor(gain, cv2.COLOR_GRAY2RGB, dst=of_colors)
 
 
 def _add_up(

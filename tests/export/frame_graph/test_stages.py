@@ -23,6 +23,7 @@ from stillray.stages import (  # noqa: E402
     lamps,
     motion_dilation,
     previous_output,
+    rare_light,
     repair,
     specular_motion,
 )
@@ -46,6 +47,7 @@ from stillray_export.frame_graph import (  # noqa: E402
     windows,
 )
 from stillray_export.frame_graph import lamps as graph_lamps  # noqa: E402
+from stillray_export.frame_graph import rare_light as graph_rare_light  # noqa: E402
 from stillray_export.frame_graph import repair as graph_repair  # noqa: E402
 from stillray_export.frame_graph.moving import sequence  # noqa: E402
 from stillray_training.decoders.demodulate import divisor  # noqa: E402
@@ -404,6 +406,22 @@ def test_small_lamps_are_put_back(size):
     got = graph_lamps.restored(planes(albedo), planes(mean[..., :3] * albedo), scalar(0.5))
     assert np.any(wanted > 2 * albedo) or min(size) < 3
     np.testing.assert_allclose(image(got), wanted, rtol=1e-5)
+
+
+@pytest.mark.parametrize("size", [*SIZES, (64, 80), (131, 86)])
+@pytest.mark.parametrize("often", [0.0, 0.05])
+def test_the_light_of_rare_samples_is_put_back(size, often):
+    rng = np.random.default_rng(10)
+    picture = rng.uniform(0.5, 1, (*size, 3)).astype(np.float32)
+    picture[: size[0] // 2] *= 30
+    color = picture * rng.exponential(1, (*size, 1)).astype(np.float32)
+    color[rng.random(size) < often] *= 1e3
+    wanted = picture.copy()
+    rare_light.restore(wanted, color, 0.3, Strips(1), Workspace())
+    light = planes(color @ np.float32([0.2126, 0.7152, 0.0722]))
+    gain = graph_rare_light.rare_light_gain(planes(picture), light, scalar(0.3))
+    assert np.any(wanted > 1.5 * picture) or not often or min(size) < 64
+    np.testing.assert_allclose(picture * image(gain)[..., None], wanted, rtol=1e-4)
 
 
 @pytest.mark.parametrize(("name", "size"), [("kpyr-5", (61, 90)), ("kpyr-5s", (48, 77))])

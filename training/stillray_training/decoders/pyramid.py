@@ -206,6 +206,29 @@ def blended_with_sample(
     return light, total / (1 + more)
 
 
+def averaged_albedo(albedo_nchw: Tensor, logits_nchw: Tensor, distances: Sequence[int]) -> Tensor:
+    """The albedo that a picture is multiplied by, averaged where the resolve is wide open.
+
+    Parameters
+    ----------
+    albedo_nchw : (n, 3, h, w)
+    logits_nchw : (n, 9, h, w)
+        `LevelParts.resolve` of the finest level.
+    distances
+        Of the neighbours, pixels, one average after the other.
+
+    Returns
+    -------
+    (n, 3, h, w)
+    """
+    near = (2 * logits_nchw[:, :-1]).exp()
+    total = 1 + near.sum(1, keepdim=True)
+    for distance in distances:
+        moved = zip(near.split(1, 1), shifted(albedo_nchw, distance), strict=True)
+        albedo_nchw = (albedo_nchw + sum(weight * each for weight, each in moved)) / total
+    return albedo_nchw
+
+
 def resolve(
     radiance_nchw: Tensor,
     logits_nchw: Tensor,
