@@ -112,6 +112,19 @@ def test_lamps_shine_in_the_same_scene(tmp_path):
     assert light[lamps].max() > 3 * np.median(light)
 
 
+def test_what_is_out_of_focus_mixes_what_lies_behind_it(tmp_path):
+    """Of one sample a pixel, neighbours have seen other things; what is known well is softer."""
+    both = list(scenes(tmp_path, "--shallow", ("0", "1"), size="64", reference="64"))
+    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
+    assert [record["shallow"] for record in records] == [False, True]
+    steps = [
+        [np.abs(np.diff(read_exr(scene / name).albedo, axis=1)).mean() for scene in both]
+        for name in ("block_00.exr", "ref_0007.exr")
+    ]
+    (sharp_noise, noise), (sharp, soft) = steps
+    assert noise / soft > 1.5 * sharp_noise / sharp
+
+
 def test_a_motion_that_is_less_than_usual_is_told(tmp_path):
     done = render(tmp_path, "--motion", "0.5")
     assert done.returncode == 2

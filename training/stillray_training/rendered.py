@@ -14,6 +14,7 @@ from stillray.frame import Frame
 from stillray.model_spec.training import Training
 from stillray_training.blocks import frames_of, read_blocks
 from stillray_training.bright_windows import draw_window, frame_through, reference_through
+from stillray_training.defocus import draw_lens, frame_through_lens, reference_through_lens
 from stillray_training.heavy_tail import draw_tail, frame_with, reference_with
 from stillray_training.small_lamps import draw_lamps, lit_frame, lit_reference
 from stillray_training.targets import read_filter, read_target
@@ -79,6 +80,7 @@ def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True)
         (3, recipe.shadow_share, _with_shadow),
         (2, recipe.window_share, _with_window),
         (1, recipe.lamp_share, _with_lamps),
+        (6, recipe.defocus_share, _through_lens),
     ):
         rng = np.random.default_rng([recipe.seed, name, own])
         if rng.random() < share:
@@ -128,6 +130,15 @@ def _with_shadow(rendered: Rendered, rng: np.random.Generator) -> Rendered:
         rendered,
         reference_in_shadow(rendered.reference, light, rendered.depth),
         lambda frame, samples: in_shadow(frame, light),
+    )
+
+
+def _through_lens(rendered: Rendered, rng: np.random.Generator) -> Rendered:
+    lens = draw_lens(rendered.depth, rng)
+    return _painted(
+        rendered,
+        reference_through_lens(rendered.reference, lens, rng),
+        lambda frame, samples: frame_through_lens(frame, rendered.reference, lens, samples, rng),
     )
 
 

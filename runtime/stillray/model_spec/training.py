@@ -71,6 +71,9 @@ class Training:
     # share of sequences of whose samples a part stays and counts as much more, so that they are as
     # noisy as scenes that are harder to light, of models of patches, [0, 1]
     thin_share: float = 0.0
+    # share of sequences that are seen through a lens that is wide open, of models of patches, for
+    # frames without a past, [0, 1]
+    defocus_share: float = 0.0
     # share of batches whose patches have 32, 48 or 64 pixels a side, so that pictures are met whose
     # coarser levels have next to no pixels, of models of patches, [0, 1]
     small_share: float = 0.0
@@ -96,7 +99,7 @@ class Training:
             "quiet_power", "average", "still_share", "quiet_share", "drop_feature", "plain_share",
             "shade_share", "paint_share", "firefly_share", "lamp_share", "fresh_share",
             "mean_share", "small_share", "window_share", "shadow_share", "tail_share",
-            "thin_share",
+            "thin_share", "defocus_share",
         ):  # fmt: skip
             within(f"training.{key}", getattr(self, key), 0, 1)
         for key in ("steps", "batch", "patch", "frames"):

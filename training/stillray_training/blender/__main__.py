@@ -3,7 +3,8 @@
 Sequences go to ``<scene>/frame_0000.exr``, ..., stills to ``spp/<scene>/<samples a pixel>``, and
 references of both to ``<scene>/ref_0000.exr``, ...; files are as Blender writes them, multilayer.
 What is there already is kept. ``--noise-seed 500`` renders frames of sequences again, with noise of
-their own and nothing beside: second halves, for another folder.
+their own and nothing beside: second halves, for another folder. What a camera does, its lens
+wide open or its shutter, is rendered where ``--scene`` names it, for a folder of its own.
 """
 
 from __future__ import annotations
@@ -12,8 +13,11 @@ import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import bpy
+
 from stillray_training.blender import interior, moving_shadow, objects
 from stillray_training.blender.cycles import prepare, render
+from stillray_training.blender.lens import open_lens
 
 _STILL_SAMPLES = (1, 4, 16, 64)
 _SEQUENCE_SAMPLES, _FRAMES = 2, 8
@@ -77,10 +81,42 @@ def render_interior(folder: Path) -> None:
     render_references(folder, "interior", [_FRAMES - 1, _FRAMES - 2], 384)
 
 
+def render_shallow_objects(folder: Path) -> None:
+    """The still life through a lens wide open, the wall behind it 12 pixels out of focus."""
+    prepare((384, 216))
+    objects.build()
+    open_lens(3.6, 30)
+    render_stills(folder, "shallow_objects", 0)
+    render_references(folder, "shallow_objects", [0], 512)
+
+
+def render_shallow_interior(folder: Path) -> None:
+    """The room through such a lens, the table in focus."""
+    build_interior()
+    open_lens(3.3, 30)
+    render_sequence(folder, "shallow_interior")
+    render_stills(folder, "shallow_interior", _FRAMES - 1)
+    render_references(folder, "shallow_interior", [_FRAMES - 1, _FRAMES - 2], 384)
+
+
+def render_blurred_cube(folder: Path) -> None:
+    """The cube and its shadow, 14 pixels long for the shutter being open for two frames."""
+    build_moving_shadow()
+    scene = bpy.context.scene
+    scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 2.0
+    render_stills(folder, "blurred_cube", 3)
+    render_references(folder, "blurred_cube", [3], 512)
+
+
 SCENES: dict[str, Callable[[Path], None]] = {
     "moving_shadow": render_moving_shadow,
     "objects": render_objects,
     "interior": render_interior,
+}
+CAMERA: dict[str, Callable[[Path], None]] = {
+    "shallow_objects": render_shallow_objects,
+    "shallow_interior": render_shallow_interior,
+    "blurred_cube": render_blurred_cube,
 }
 SEQUENCES = {"moving_shadow": build_moving_shadow, "interior": build_interior}
 
@@ -89,13 +125,18 @@ def main() -> None:
     """Render the scenes that are named, or all."""
     parser = argparse.ArgumentParser(description="Render the validation scenes of Blender.")
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--scene", action="append", choices=SCENES, help="default: all")
+    parser.add_argument(
+        "--scene",
+        action="append",
+        choices=[*SCENES, *CAMERA],
+        help="default: all but those of what a camera does",
+    )
     parser.add_argument("--noise-seed", type=int, help="frames of sequences alone, of this seed on")
     given = parser.parse_args()
     folder = given.folder.resolve()
     if given.noise_seed is None:
         for name in given.scene or SCENES:
-            SCENES[name](folder)
+            {**SCENES, **CAMERA}[name](folder)
         return
     for name in given.scene or SEQUENCES:
         if name not in SEQUENCES:

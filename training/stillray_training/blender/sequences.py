@@ -19,6 +19,7 @@ import bpy
 from stillray_training.blender.cycles import prepare, render
 from stillray_training.blender.generated import KINDS, build
 from stillray_training.blender.lamps import light_up
+from stillray_training.blender.lens import open_somewhere
 from stillray_training.blender.record import RECORD, TAKEN
 from stillray_training.blender.relief import emboss_all
 from stillray_training.blender.slender import scatter
@@ -31,6 +32,7 @@ _PANELLED = 0.4  # and of those, of rooms full of painted joinery
 _RELIEF = 0.0  # share whose surfaces have one color and relief
 _SLENDER = 0.0  # share with thin things and glasses stood about
 _LAMPS = 0.0  # share with small lamps in view
+_SHALLOW = 0.0  # share whose lens is wide open
 _BACKLIT = 0.0  # and of the others, of rooms that are looked at against their windows
 _MOTION = 1.0  # cameras move up to so many times as far
 _BOX = 0.5  # share with a box filter, as other renderers have
@@ -48,11 +50,12 @@ class Options:
         Width and height, pixels.
     reference
         Most samples a pixel of references.
-    rooms, panelled, backlit, box, relief, slender, lamps
+    rooms, panelled, backlit, box, relief, slender, lamps, shallow
         Shares, [0, 1]: of scenes that are rooms, of rooms full of painted joinery, of other rooms
         that are looked at against their windows, of scenes rendered with a box filter, of scenes
         most of whose surfaces have one color and relief that only normals show, of scenes with
-        thin things and glasses stood about, and of scenes with small lamps in view.
+        thin things and glasses stood about, of scenes with small lamps in view, and of scenes
+        seen through a lens that is wide open.
     motion
         Cameras move 1 to this many times as far as usual, 1 or more.
     assets
@@ -73,6 +76,7 @@ class Options:
     relief: float = _RELIEF
     slender: float = _SLENDER
     lamps: float = _LAMPS
+    shallow: float = _SHALLOW
     motion: float = _MOTION
     assets: Path | None = None
 
@@ -80,7 +84,8 @@ class Options:
         for name in ("size", "reference"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
-        for name in ("rooms", "panelled", "backlit", "box", "relief", "slender", "lamps"):
+        shares = ("rooms", "panelled", "backlit", "box", "relief", "slender", "lamps", "shallow")
+        for name in shares:
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be 0 to 1, got {getattr(self, name)}")
         if not 1 <= self.motion <= 100:
@@ -139,6 +144,10 @@ def render_scene(folder: Path, seed: int, options: Options) -> None:
     lamps = lit.random() < options.lamps
     if lamps:
         light_up(lit)
+    focused = random.Random(f"shallow {seed}")
+    shallow = focused.random() < options.shallow
+    if shallow:
+        open_somewhere(focused)
     last = FRAMES - 1
     for frame in range(FRAMES):
         render(folder / f"frame_{frame:04d}.exr", frame=frame, samples=samples, seed=frame)
@@ -153,6 +162,7 @@ def render_scene(folder: Path, seed: int, options: Options) -> None:
         "filter": scene.cycles.pixel_filter_type, "filter_width": scene.cycles.filter_width,
         "clamp": scene.cycles.sample_clamp_indirect,
         "motion": options.motion, "relief": relief, "slender": slender, "lamps": lamps,
+        "shallow": shallow,
         "blender": bpy.app.version_string,
     }  # fmt: skip
     (folder / RECORD).write_text(json.dumps(record, indent=1))
@@ -186,6 +196,9 @@ def main() -> None:
     )
     parser.add_argument(
         "--lamps", type=float, default=usual.lamps, help="with small lamps in view, [0, 1]"
+    )
+    parser.add_argument(
+        "--shallow", type=float, default=usual.shallow, help="with a lens wide open, [0, 1]"
     )
     parser.add_argument(
         "--motion", type=float, default=usual.motion, help="cameras move up to so many times as far"

@@ -1,0 +1,119 @@
+"""A lens in front of rendered frames: means stay those of discs, and what is sharp stays sharp."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillray.frame import Frame
+from stillray_training.defocus import (
+    Lens,
+    draw_lens,
+    frame_through_lens,
+    reference_through_lens,
+)
+
+SHAPE = (40, 50)
+
+
+def lens_of(own, depth=1.0):
+    own = np.broadcast_to(np.float32(own), SHAPE)
+    return Lens(own=own, reach=own, depth=np.broadcast_to(np.float32(depth), SHAPE))
+
+
+def halves():
+    """A bright half beside a dark one."""
+    reference = np.full((*SHAPE, 3), 0.2, np.float32)
+    reference[:, 25:] = 4
+    return reference
+
+
+@pytest.mark.parametrize("samples", [1, 2, 8])
+@pytest.mark.parametrize("lit", [1.0, 0.1])
+def test_frames_have_the_mean_that_the_reference_says(samples, lit):
+    """Of samples that all carry light, and of those of which one in ten does."""
+    rng = np.random.default_rng(5)
+    reference, lens = halves(), lens_of(6)
+    total = np.zeros_like(reference)
+    for _ in range(400):
+        counts = rng.binomial(samples, lit, SHAPE)[..., None] / (samples * lit)
+        frame = Frame(color=(reference * counts).astype(np.float32))
+        total += frame_through_lens(frame, reference, lens, samples, rng).color
+    wanted = reference_through_lens(reference, lens, rng)
+    columns = (total / 400).mean((0, 2))
+    np.testing.assert_allclose(columns, wanted.mean((0, 2)), rtol=0.06)
+    # half of a disc is the other side's, and none of it further off than it is large
+    assert columns[24] == pytest.approx(2.1, rel=0.15)
+    np.testing.assert_allclose(wanted[:, :18], 0.2, rtol=1e-5)
+
+
+def test_noise_stays_as_large_as_it_is_in_even_light():
+    rng = np.random.default_rng(6)
+    reference = np.full((*SHAPE, 3), 0.5, np.float32)
+    frame = Frame(color=reference * rng.gamma(4, 1 / 4, (*SHAPE, 1)).astype(np.float32))
+    seen = frame_through_lens(frame, reference, lens_of(5), 4, rng)
+    assert seen.color.std() == pytest.approx(frame.color.std(), rel=0.1)
+
+
+def test_features_are_noise_that_goes_with_samples():
+    rng = np.random.default_rng(7)
+    reference = halves()
+    plane = (reference[..., 0] > 1).astype(np.float32)
+    frame = Frame(
+        color=reference,
+        albedo=np.repeat(plane[..., None], 3, 2),
+        normal=np.dstack([plane, 0 * plane, 1 - plane]),
+        depth=1 + plane,
+    )
+    lens = lens_of(8)
+    spread = []
+    for samples in (1, 16):
+        seen = frame_through_lens(frame, reference, lens, samples, rng)
+        # a sample has the color, albedo and normal of one point
+        lightness = (seen.color[..., 0] - 0.2) / 3.8
+        np.testing.assert_allclose(seen.albedo[..., 0], lightness, atol=1e-5)
+        np.testing.assert_allclose(seen.normal[..., 0], lightness, atol=1e-5)
+        assert set(np.unique(seen.depth)) == {1, 2}
+        spread.append(seen.albedo[:, 24].std())
+    assert spread[0] == pytest.approx(4 * spread[1], rel=0.35)
+
+
+def test_what_is_in_focus_stays_as_it_is():
+    rng = np.random.default_rng(8)
+    frame = Frame(color=rng.random((*SHAPE, 3), dtype=np.float32))
+    reference = halves()
+    seen = frame_through_lens(frame, reference, lens_of(0), 4, rng)
+    np.testing.assert_allclose(seen.color, frame.color, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(
+        reference_through_lens(reference, lens_of(0), rng), reference, rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("sharp_is_nearer", [True, False])
+def test_only_what_is_nearer_spreads_over_what_is_sharp(sharp_is_nearer):
+    """The left half is in focus; the right one is bright, before it or behind it."""
+    own = np.zeros(SHAPE, np.float32)
+    own[:, 25:] = 8
+    depth = np.full(SHAPE, 2, np.float32)
+    depth[:, 25:] = 4 if sharp_is_nearer else 1
+    reach = own.copy()
+    reach[:, 17:] = 8
+    lens = Lens(own=own, reach=reach, depth=depth)
+    found = reference_through_lens(halves(), lens, np.random.default_rng(9))
+    np.testing.assert_allclose(found[:, :16], 0.2, rtol=1e-5)
+    spread = found[:, 20, 0].mean() > 0.3
+    assert spread != sharp_is_nearer
+    np.testing.assert_allclose(found[:, 35:], 4, rtol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_lens_is_focused_on_something(seed):
+    rng = np.random.default_rng(seed)
+    depth = np.ones(SHAPE, np.float32)
+    depth[:, 20:40] = 3
+    depth[:10] = 0  # the sky
+    lens = draw_lens(depth, rng)
+    assert lens.own.min() == 0
+    assert lens.own.max() > 0
+    assert np.all(lens.reach >= lens.own)
+    assert np.all(lens.depth > 0)

@@ -1,0 +1,143 @@
+"""A lens wide open, in front of frames that were rendered through a pinhole.
+
+What a lens does not show sharp is a disc for every point, and each sample of a pixel meets another
+point: color, albedo, normal and depth of few samples are noise together, at edges that are soft.
+Here each sample of a pixel is that of a pixel drawn from its disc, the reference the mean over the
+disc. A point shows where its own disc reaches, but for one that lies behind what is sharp: discs
+gathered as they would be scattered (Potmesil and Chakravarty 1981 have the sizes of discs).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from stillray.frame import Frame
+from stillray_training.draws import log_uniform
+
+_DISC = (1.0, 14.0)  # radius of the disc of what is far away, pixels
+_LARGEST = 24.0  # of any
+_BEHIND = 1.05  # times as far away as a point is what lies behind it
+_GATHERED = 128  # of a disc, for a reference
+_GOLDEN = np.pi * (3 - np.sqrt(5))
+_FAR = 10.0  # times the largest depth is where nothing was hit
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """What a lens makes of a frame's points.
+
+    Attributes
+    ----------
+    own : (h, w) float32
+        Radius of each point's disc, pixels.
+    reach : (h, w) float32
+        Radius around each pixel in which points may lie whose discs reach it.
+    depth : (h, w) float32
+        Of the points, > 0.
+    """
+
+    own: np.ndarray
+    reach: np.ndarray
+    depth: np.ndarray
+
+    def seen(self, offset: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of the pixels that samples show, ``(h, w)`` each.
+
+        Parameters
+        ----------
+        offset : (2, h, w) or (2, 1, 1)
+            Where in the disc, of a radius of 1.
+        rng
+            Rounds, so that the mean of many is as if pixels were interpolated.
+        """
+        height, width = self.own.shape
+        rows, columns = np.mgrid[:height, :width]
+        down, right = np.floor(offset * self.reach + rng.random((2, height, width))).astype(int)
+        there = np.clip(rows + down, 0, height - 1), np.clip(columns + right, 0, width - 1)
+        # half a pixel is what rounding moves
+        apart = np.hypot(there[0] - rows, there[1] - columns) - 0.5
+        behind = self.depth[there] > _BEHIND * self.depth
+        shows = (self.own[there] >= apart) & ~(behind & (self.own < apart))
+        return np.where(shows, there[0], rows), np.where(shows, there[1], columns)
+
+
+def draw_lens(depth: np.ndarray, rng: np.random.Generator) -> Lens:
+    """A lens focused on one of a picture's points.
+
+    Parameters
+    ----------
+    depth : (h, w) float32
+        0 where nothing was hit.
+    rng
+        Draws which, and how wide it is open.
+    """
+    depth = np.where(depth > 0, depth, _FAR * max(float(depth.max()), 1e-6)).astype(np.float32)
+    focus = rng.choice(depth.reshape(-1))
+    own = np.minimum(log_uniform(rng, _DISC) * np.abs(1 - focus / depth), _LARGEST)
+    near = np.where(depth < focus, own, 0)
+    side = 2 * int(np.ceil(near.max())) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    reach = np.maximum(own, cv2.dilate(near, disc))
+    return Lens(own.astype(np.float32), reach.astype(np.float32), depth)
+
+
+def reference_through_lens(
+    reference: np.ndarray, lens: Lens, rng: np.random.Generator
+) -> np.ndarray:
+    """The mean ``(h, w, 3)`` of what the samples of each pixel show."""
+    total = np.zeros(reference.shape, np.float64)
+    for index in range(_GATHERED):
+        # a spiral of points that each stand for as much of the disc
+        far, turn = np.sqrt((index + 0.5) / _GATHERED), index * _GOLDEN
+        offset = far * np.array([np.sin(turn), np.cos(turn)]).reshape(2, 1, 1)
+        total += reference[lens.seen(offset, rng)]
+    return (total / _GATHERED).astype(np.float32)
+
+
+def frame_through_lens(
+    frame: Frame, reference: np.ndarray, lens: Lens, samples: float, rng: np.random.Generator
+) -> Frame:
+    """A frame of so many samples a pixel.
+
+    A pixel's samples are not known one by one: each is taken for the reference of the pixel that it
+    shows, and their mean is given the noise of the last one's, which is as large as theirs; no
+    darker than black.
+
+    Parameters
+    ----------
+    frame
+        As it was rendered.
+    reference : (h, w, 3)
+        Its radiance without noise.
+    lens
+        In front of it.
+    samples
+        Its count.
+    rng
+        Draws what they show.
+    """
+    count, shape = max(round(samples), 1), frame.shape
+    given = {
+        name: getattr(frame, name)
+        for name in ("albedo", "normal", "depth")
+        if getattr(frame, name) is not None
+    }
+    color = np.zeros((*shape, 3), np.float32)
+    sums = {name: np.zeros_like(plane) for name, plane in given.items()}
+    last = (np.zeros(0, int), np.zeros(0, int))
+    for _ in range(count):
+        far, turn = np.sqrt(rng.random(shape)), 2 * np.pi * rng.random(shape)
+        last = lens.seen(far * np.stack([np.sin(turn), np.cos(turn)]), rng)
+        color += reference[last]
+        for name, plane in given.items():
+            sums[name] += plane[last]
+    means = {name: total / np.float32(count) for name, total in sums.items()}
+    if "depth" in given:  # renderers write that of one sample: a mean would lie between surfaces
+        means["depth"] = given["depth"][last]
+    color /= np.float32(count)
+    clean = reference[last]
+    share = np.minimum(1, color / np.maximum(clean, np.float32(1e-12)))
+    return replace(frame, color=np.maximum(color + share * (frame.color[last] - clean), 0), **means)
