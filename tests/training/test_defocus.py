@@ -8,9 +8,11 @@ import pytest
 from stillray.frame import Frame
 from stillray_training.defocus import (
     Lens,
-    draw_lens,
+    draw_opening,
     frame_through_lens,
+    lens_before,
     reference_through_lens,
+    sample_through_lens,
 )
 
 SHAPE = (40, 50)
@@ -45,6 +47,22 @@ def test_frames_have_the_mean_that_the_reference_says(samples, lit):
     # half of a disc is the other side's, and none of it further off than it is large
     assert columns[24] == pytest.approx(2.1, rel=0.15)
     np.testing.assert_allclose(wanted[:, :18], 0.2, rtol=1e-5)
+
+
+def test_a_sample_is_that_of_one_point_with_its_motion():
+    rng = np.random.default_rng(4)
+    reference = halves()
+    plane = (reference[..., 0] > 1).astype(np.float32)
+    frame = Frame(color=reference, depth=1 + plane, motion=np.dstack([3 * plane, -plane]))
+    total = np.zeros_like(reference)
+    for _ in range(300):
+        seen = sample_through_lens(frame, lens_of(6), rng)
+        assert seen.motion is not None
+        np.testing.assert_array_equal(seen.color[..., 0] > 1, seen.motion[..., 0] == 3)
+        np.testing.assert_array_equal(seen.color[..., 0] > 1, seen.depth == 2)
+        total += seen.color
+    wanted = reference_through_lens(reference, lens_of(6), rng)
+    np.testing.assert_allclose((total / 300).mean((0, 2)), wanted.mean((0, 2)), rtol=0.05)
 
 
 def test_noise_stays_as_large_as_it_is_in_even_light():
@@ -112,7 +130,7 @@ def test_a_lens_is_focused_on_something(seed):
     depth = np.ones(SHAPE, np.float32)
     depth[:, 20:40] = 3
     depth[:10] = 0  # the sky
-    lens = draw_lens(depth, rng)
+    lens = lens_before(depth, draw_opening(depth, rng))
     assert lens.own.min() == 0
     assert lens.own.max() > 0
     assert np.all(lens.reach >= lens.own)

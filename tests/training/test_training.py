@@ -558,7 +558,9 @@ def test_the_command_trains_every_family_but_the_one_that_learns_by_itself(model
         train.main(model, [tmp_path], tmp_path / "run")
 
 
-@pytest.mark.parametrize("share", ["lamp_share", "window_share", "shadow_share", "tail_share"])
+@pytest.mark.parametrize(
+    "share", ["lamp_share", "window_share", "shadow_share", "tail_share", "defocus_share"]
+)
 def test_what_is_painted_is_the_same_with_the_blocks_of_a_sequence_and_without(data, small, share):
     recipe = dataclasses.replace(small.training, **{share: 1.0})
     sequence = find_sequences(data)[0]

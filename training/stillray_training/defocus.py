@@ -64,19 +64,45 @@ class Lens:
         return np.where(shows, there[0], rows), np.where(shows, there[1], columns)
 
 
-def draw_lens(depth: np.ndarray, rng: np.random.Generator) -> Lens:
-    """A lens focused on one of a picture's points.
+@dataclass(frozen=True)
+class Opening:
+    """How a lens is set.
+
+    Attributes
+    ----------
+    focus
+        Distance of what is sharp, in units of depth, > 0.
+    disc
+        Radius of the disc of what is infinitely far away, pixels.
+    """
+
+    focus: float
+    disc: float
+
+
+def draw_opening(depth: np.ndarray, rng: np.random.Generator) -> Opening:
+    """Focused on one of a picture's points, and as wide open as is drawn.
 
     Parameters
     ----------
     depth : (h, w) float32
         0 where nothing was hit.
     rng
-        Draws which, and how wide it is open.
+        Draws both.
     """
-    depth = np.where(depth > 0, depth, _FAR * max(float(depth.max()), 1e-6)).astype(np.float32)
-    focus = rng.choice(depth.reshape(-1))
-    own = np.minimum(log_uniform(rng, _DISC) * np.abs(1 - focus / depth), _LARGEST)
+    return Opening(float(rng.choice(_hit(depth).reshape(-1))), log_uniform(rng, _DISC))
+
+
+def _hit(depth: np.ndarray) -> np.ndarray:
+    """Depth, where nothing was hit that of something far away."""
+    far = _FAR * max(float(depth.max()), 1e-6)
+    return np.where(depth > 0, depth, far).astype(np.float32)
+
+
+def lens_before(depth: np.ndarray, opening: Opening) -> Lens:
+    """What the lens makes of a frame whose depth ``(h, w)`` is, 0 where nothing was hit."""
+    depth, focus = _hit(depth), opening.focus
+    own = np.minimum(opening.disc * np.abs(1 - focus / depth), _LARGEST)
     near = np.where(depth < focus, own, 0)
     side = 2 * int(np.ceil(near.max())) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
@@ -97,10 +123,26 @@ def reference_through_lens(
     return (total / _GATHERED).astype(np.float32)
 
 
+def sample_through_lens(frame: Frame, lens: Lens, rng: np.random.Generator) -> Frame:
+    """A frame whose pixels show one point each, with its motion; exact for one sample a pixel."""
+    seen = _disc_point(lens, rng)
+    given = {
+        name: getattr(frame, name)[seen]
+        for name in ("color", "albedo", "normal", "depth", "motion")
+        if getattr(frame, name) is not None
+    }
+    return replace(frame, **given)
+
+
+def _disc_point(lens: Lens, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    far, turn = np.sqrt(rng.random(lens.own.shape)), 2 * np.pi * rng.random(lens.own.shape)
+    return lens.seen(far * np.stack([np.sin(turn), np.cos(turn)]), rng)
+
+
 def frame_through_lens(
     frame: Frame, reference: np.ndarray, lens: Lens, samples: float, rng: np.random.Generator
 ) -> Frame:
-    """A frame of so many samples a pixel.
+    """A frame of so many samples a pixel, of which the noise-free radiance is known.
 
     A pixel's samples are not known one by one: each is taken for the reference of the pixel that it
     shows, and their mean is given the noise of the last one's, which is as large as theirs; no
@@ -129,14 +171,15 @@ def frame_through_lens(
     sums = {name: np.zeros_like(plane) for name, plane in given.items()}
     last = (np.zeros(0, int), np.zeros(0, int))
     for _ in range(count):
-        far, turn = np.sqrt(rng.random(shape)), 2 * np.pi * rng.random(shape)
-        last = lens.seen(far * np.stack([np.sin(turn), np.cos(turn)]), rng)
+        last = _disc_point(lens, rng)
         color += reference[last]
         for name, plane in given.items():
             sums[name] += plane[last]
     means = {name: total / np.float32(count) for name, total in sums.items()}
-    if "depth" in given:  # renderers write that of one sample: a mean would lie between surfaces
-        means["depth"] = given["depth"][last]
+    # renderers write those of one sample: a mean would lie between surfaces
+    for name in ("depth", "motion"):
+        if getattr(frame, name) is not None:
+            means[name] = getattr(frame, name)[last]
     color /= np.float32(count)
     clean = reference[last]
     share = np.minimum(1, color / np.maximum(clean, np.float32(1e-12)))

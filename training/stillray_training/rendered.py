@@ -14,7 +14,13 @@ from stillray.frame import Frame
 from stillray.model_spec.training import Training
 from stillray_training.blocks import frames_of, read_blocks
 from stillray_training.bright_windows import draw_window, frame_through, reference_through
-from stillray_training.defocus import draw_lens, frame_through_lens, reference_through_lens
+from stillray_training.defocus import (
+    draw_opening,
+    frame_through_lens,
+    lens_before,
+    reference_through_lens,
+    sample_through_lens,
+)
 from stillray_training.heavy_tail import draw_tail, frame_with, reference_with
 from stillray_training.small_lamps import draw_lamps, lit_frame, lit_reference
 from stillray_training.targets import read_filter, read_target
@@ -134,12 +140,21 @@ def _with_shadow(rendered: Rendered, rng: np.random.Generator) -> Rendered:
 
 
 def _through_lens(rendered: Rendered, rng: np.random.Generator) -> Rendered:
-    lens = draw_lens(rendered.depth, rng)
-    return _painted(
-        rendered,
-        reference_through_lens(rendered.reference, lens, rng),
-        lambda frame, samples: frame_through_lens(frame, rendered.reference, lens, samples, rng),
-    )
+    opening = draw_opening(rendered.depth, rng)
+    lens, reference = lens_before(rendered.depth, opening), rendered.reference
+    before = [
+        frame if frame.depth is None else sample_through_lens(
+            frame, lens_before(frame.depth, opening), rng
+        )
+        for frame in rendered.frames[:-1]
+    ]  # fmt: skip
+    soft = reference_through_lens(reference, lens, rng)
+    # last: without further blocks all else is drawn alike
+    blocks = [
+        (frame_through_lens(frame, reference, lens, count, rng), count)
+        for frame, count in rendered.blocks
+    ]
+    return replace(rendered, frames=[*before, blocks[0][0]], blocks=blocks, reference=soft)
 
 
 def _painted(

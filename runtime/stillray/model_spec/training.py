@@ -71,8 +71,8 @@ class Training:
     # share of sequences of whose samples a part stays and counts as much more, so that they are as
     # noisy as scenes that are harder to light, of models of patches, [0, 1]
     thin_share: float = 0.0
-    # share of sequences that are seen through a lens that is wide open, of models of patches, for
-    # frames without a past, [0, 1]
+    # share of sequences that are seen through a lens that is wide open, of models of patches,
+    # [0, 1]
     defocus_share: float = 0.0
     # share of batches whose patches have 32, 48 or 64 pixels a side, so that pictures are met whose
     # coarser levels have next to no pixels, of models of patches, [0, 1]
