@@ -131,6 +131,53 @@ def single_pixel_of_albedo(denoiser: stillray.Denoiser) -> float:
     return float(1 - (image[12, 16].mean() - 0.2) / 0.7)
 
 
+_KEEPS_FEATURES = "what it filters is multiplied by the albedo as it is, noise and all"
+
+
+@case(
+    "two surfaces out of focus over 32 pixels, features of the same 1, 4, 16 and 64 samples",
+    "error / that of the noisy frame, one frame, worst of the counts",
+    0.25,
+    kpyr_5=_KEEPS_FEATURES,
+    kpyr_5s=_KEEPS_FEATURES,
+    kpyr_5_still=_KEEPS_FEATURES,
+    kpyr_5s_still=_KEEPS_FEATURES,
+    nbg_2x1=_KEEPS_FEATURES,
+    nbg_2x3=_KEEPS_FEATURES,
+    nbg_7x3=_KEEPS_FEATURES,
+    wskp_3=_KEEPS_FEATURES,
+    wskp_3s=_KEEPS_FEATURES,
+    wskp_6=_KEEPS_FEATURES,
+    wskp_mr=_KEEPS_FEATURES,
+)
+def out_of_focus(denoiser: stillray.Denoiser) -> float:
+    return max(_error_out_of_focus(denoiser, samples) for samples in (1, 4, 16, 64))
+
+
+def _error_out_of_focus(denoiser: stillray.Denoiser, samples: int) -> float:
+    height, width = 64, 96
+    rng = np.random.default_rng(2)
+    albedo = np.float32([(0.8, 0.75, 0.7), (0.08, 0.12, 0.2)])
+    normal, depth = np.float32([(0, 0, 1), (0, 1, 0)]), np.float32([2, 6])
+    light = np.float32([0.5, 0.8])
+    # a sample meets the one or the other, and has all that it has
+    share = np.clip((np.arange(width) - width / 2) / 32 + 0.5, 0, 1)
+    met = (rng.random((samples, height, width)) < share).astype(int)
+    grain = rng.exponential(1, met.shape).astype(np.float32)
+    frame = Frame(
+        color=(albedo[met] * (light[met] * grain)[..., None]).mean(axis=0),
+        albedo=albedo[met].mean(axis=0),
+        normal=normal[met].mean(axis=0),
+        depth=depth[met[-1]],
+        samples=samples,
+    )
+    near, far = albedo * light[:, None]
+    wanted = near + share[:, None] * (far - near)
+    (image,) = run(denoiser, [frame])
+    errors = [np.sqrt(np.mean((each - wanted)[8:-8, 34:62] ** 2)) for each in (image, frame.color)]
+    return float(errors[0] / errors[1])
+
+
 @case("every odd size from 1x1 to 13x13, and 1x999, 999x1", "relative error of a flat frame", 1e-4)
 def odd_sizes(denoiser: stillray.Denoiser) -> float:
     sizes = [(h, w) for h in range(1, 14, 2) for w in range(1, 14, 2)] + [(1, 999), (999, 1)]
