@@ -140,7 +140,6 @@ _KEEPS_FEATURES = "what it filters is multiplied by the albedo as it is, noise a
     0.25,
     kpyr_5=_KEEPS_FEATURES,
     kpyr_5s=_KEEPS_FEATURES,
-    kpyr_5_still=_KEEPS_FEATURES,
     nbg_2x1=_KEEPS_FEATURES,
     nbg_2x3=_KEEPS_FEATURES,
     nbg_7x3=_KEEPS_FEATURES,
