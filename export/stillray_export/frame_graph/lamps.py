@@ -7,7 +7,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stillray.stages import lamps as stage
-from stillray_export.frame_graph.windows import repeated
+from stillray_export.frame_graph.windows import mean_with_border
 from stillray_training.decoders.luminance import luminance
 
 
@@ -25,8 +25,7 @@ def restored(image: Tensor, radiance: Tensor, exposure: Tensor) -> Tensor:
     """
     samples = luminance(radiance)
     picture = luminance(image) + stage.DARKEST / exposure
-    padded = repeated(picture, stage.AROUND // 2)
-    most = stage.MOST * F.avg_pool2d(padded, stage.AROUND, stride=1)
+    most = stage.MOST * mean_with_border(picture, stage.AROUND)
     share, light = torch.zeros_like(samples), torch.zeros_like(samples)
     for block in stage.BLOCKS:
         opened = _opened(samples, picture, block)

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stillray.stages import rare_light as stage
-from stillray_export.frame_graph.windows import repeated
+from stillray_export.frame_graph.windows import enlarged, mean_with_border
 from stillray_training.decoders.luminance import luminance
 
 
@@ -28,10 +28,8 @@ def rare_light_gain(image: Tensor, radiance: Tensor, exposure: Tensor) -> Tensor
     height, width = image.shape[2:]
     block, first = stage.BLOCK, stage.BANDS[0]
     picture = luminance(image)
-    around = F.avg_pool2d(repeated(_block_means(picture), 1), 3, stride=1)
-    around = F.interpolate(
-        around + stage.DARKEST / exposure, scale_factor=float(block), mode="bilinear"
-    )[..., :height, :width]
+    usual = mean_with_border(_block_means(picture), 3) + stage.DARKEST / exposure
+    around = enlarged(usual, block, height, width)
     above = (radiance - picture) / around
     rare = (above > first).to(torch.float32)
     counts = _block_sums(torch.ones_like(above))
@@ -46,8 +44,7 @@ def rare_light_gain(image: Tensor, radiance: Tensor, exposure: Tensor) -> Tensor
     )
     missing = missing + usually.clamp(max=0)
     more = (missing / kept).clamp(stage.LEAST, stage.MOST - 1)
-    gain = 1 + more - stage.LEAST**2 / more
-    gain = F.interpolate(gain, scale_factor=float(block), mode="bilinear")[..., :height, :width]
+    gain = enlarged(1 + more - stage.LEAST**2 / more, block, height, width)
     return torch.where(rare.sum() >= stage.FEWEST, gain, 1)
 
 

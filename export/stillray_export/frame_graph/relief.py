@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stillray.stages import relief as stage
-from stillray_export.frame_graph.windows import repeated
+from stillray_export.frame_graph.windows import enlarged, mean_with_border
 from stillray_training.decoders.luminance import luminance
 
 
@@ -32,7 +32,7 @@ def relief_gain(
         Radiance that is added where relative means relative to it.
     """
     height, width = image.shape[2:]
-    fine = normal - _around(normal, stage.FINE)
+    fine = normal - mean_with_border(normal, stage.FINE)
     weight = _weight(fine, depth)
     left = luminance(image)
     taken = (radiance - left) / (left + dark)
@@ -48,20 +48,15 @@ def relief_gain(
     planes.append(alike)
     padded = F.pad(torch.cat(planes, 1), [0, -width % block, 0, -height % block])
     slopes = _slopes(F.avg_pool2d(padded, block), window)
-    slopes = F.interpolate(slopes, scale_factor=float(block), mode="bilinear")
-    gain = 1 + (slopes[..., :height, :width] * weighed).sum(1, keepdim=True)
+    gain = 1 + (enlarged(slopes, block, height, width) * weighed).sum(1, keepdim=True)
     return gain.clamp(stage.LEAST_GAIN, stage.MOST_GAIN)
-
-
-def _around(planes_nchw: Tensor, size: int) -> Tensor:
-    return F.avg_pool2d(repeated(planes_nchw, size // 2), size, stride=1)
 
 
 def _weight(fine: Tensor, depth: Tensor) -> Tensor:
     bent = fine.square().sum(1, keepdim=True) / stage.BENT**2
     hit = (depth > 0).to(torch.float32)
     inverse = hit / torch.where(depth > 0, depth, 1)
-    apart = (_around(inverse, 3) * depth - 1) / stage.APART
+    apart = (mean_with_border(inverse, 3) * depth - 1) / stage.APART
     given = depth.amax() > 0
     return torch.where(given, (-bent - apart.square()).exp() * hit, (-bent).exp())
 

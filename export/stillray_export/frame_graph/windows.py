@@ -33,6 +33,11 @@ def mean_around(planes_nchw: Tensor, size: int) -> Tensor:
     return F.avg_pool2d(planes_nchw, size, stride=1, padding=size // 2)
 
 
+def mean_with_border(planes_nchw: Tensor, size: int) -> Tensor:
+    """Means of ``size x size`` windows, the border repeated."""
+    return F.avg_pool2d(repeated(planes_nchw, size // 2), size, stride=1)
+
+
 def most_around(planes_nchw: Tensor) -> Tensor:
     """The largest of 3x3 pixels; what is outside does not count."""
     return F.max_pool2d(planes_nchw, 3, stride=1, padding=1)
