@@ -11,6 +11,7 @@ import dataclasses
 import sys
 import time
 from collections.abc import Sequence
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -39,17 +40,18 @@ from stillray.profiling.measure import (
 from stillray.profiling.plot import draw_curves, draw_profile
 from stillray.profiling.results import Result
 from stillray.profiling.scaling import SIZES, Curve, in_words, scaling_curves
-from stillray_training.peers import OIDN_QUALITIES, open_image_denoise
+from stillray_training.peers import PEERS, PeerDenoiser
 
 SEQUENCE = "tests/data/room/frame_####.exr"
 NOTHING = "nothing"  # the buffers alone: what memory is compared with
+OIDN = tuple(peer.label for peer in PEERS if peer.module == "pyoidn")
 
 
 def measure_in_turn(
     settings: Sequence[Setting], clip: Clip, seconds: float
 ) -> tuple[list[Run], dict[str, list[float]]]:
     """Our models stage by stage, and milliseconds of each peer in the same rounds."""
-    peers: dict[str, list[float]] = {f"OIDN {quality}": [] for quality in OIDN_QUALITIES}
+    peers: dict[str, list[float]] = {name: [] for name in OIDN}
     for name in peers:
         run_peer(name, clip, 0)  # the first call allocates
 
@@ -66,7 +68,14 @@ def run_peer(name: str, clip: Clip, turn: int) -> None:
     """Open Image Denoise, or nothing, on one of the frames."""
     if name != NOTHING:
         frame, _ = clip.frame(turn)
-        open_image_denoise(frame.color, frame.albedo, frame.normal, name.split()[1])
+        opened_peer(name).denoise(frame)
+
+
+@cache
+def opened_peer(label: str) -> PeerDenoiser:
+    """A peer, opened once."""
+    (peer,) = (peer for peer in PEERS if peer.label == label)
+    return peer.make()
 
 
 def peer_memory(names: Sequence[str], setting: Setting, source: str) -> dict[str, Memory]:

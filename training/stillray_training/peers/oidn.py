@@ -57,3 +57,48 @@ class OpenImageDenoise:
     def denoise(self, frame: Frame) -> np.ndarray:
         """Denoise a frame: radiance ``(h, w, 3)``."""
         return open_image_denoise(frame.color, frame.albedo, frame.normal, self.quality)
+
+
+class PrefilteredOpenImageDenoise:
+    """Open Image Denoise with albedo and normals denoised first, each by a network of its own.
+
+    What Blender does unless told otherwise (its "Accurate" prefilter), and what Open Image
+    Denoise's manual recommends for the best quality: three networks a frame for one.
+
+    Parameters
+    ----------
+    quality
+        One of `OIDN_QUALITIES`, of all three.
+    """
+
+    def __init__(self, quality: str) -> None:
+        import pyoidn
+
+        self.quality = quality
+        self._device = pyoidn.Device()
+        self._device.commit()
+
+    def denoise(self, frame: Frame) -> np.ndarray:
+        """Denoise a frame: radiance ``(h, w, 3)``."""
+        albedo, normal = (
+            None if plane is None else self._prefiltered(name, plane)
+            for name, plane in (("albedo", frame.albedo), ("normal", frame.normal))
+        )
+        clean = albedo is not None or normal is not None
+        return open_image_denoise(frame.color, albedo, normal, self.quality, clean_features=clean)
+
+    def _prefiltered(self, name: str, plane: np.ndarray) -> np.ndarray:
+        import pyoidn
+
+        given, made = np.ascontiguousarray(plane, np.float32), np.empty(plane.shape, np.float32)
+        quality = getattr(pyoidn, f"OIDN_QUALITY_{self.quality.upper()}")
+        with pyoidn.Filter(self._device, pyoidn.OIDN_FILTER_TYPE_RT) as run:
+            run.set_image(name, given, pyoidn.OIDN_FORMAT_FLOAT3)
+            run.set_image(pyoidn.OIDN_IMAGE_OUTPUT, made, pyoidn.OIDN_FORMAT_FLOAT3)
+            run.set_int("quality", quality)
+            run.commit()
+            run.execute()
+        error = self._device.get_error()
+        if error is not None:
+            raise RuntimeError(f"Open Image Denoise, {name}: {error}")
+        return made

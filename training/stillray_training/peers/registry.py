@@ -12,7 +12,11 @@ import numpy as np
 
 from stillray.errors import InputError
 from stillray.frame import Frame
-from stillray_training.peers.oidn import OIDN_QUALITIES, OpenImageDenoise
+from stillray_training.peers.oidn import (
+    OIDN_QUALITIES,
+    OpenImageDenoise,
+    PrefilteredOpenImageDenoise,
+)
 
 
 class PeerDenoiser(Protocol):
@@ -88,6 +92,11 @@ PEERS = (
             package="pyoidn", make=partial(OpenImageDenoise, quality),
         )
         for quality in OIDN_QUALITIES
+    ),
+    # albedo and normals first, as Blender does
+    Peer(
+        name="oidn-prefiltered", label="OIDN high, prefiltered", remembers=False, module="pyoidn",
+        package="pyoidn", make=partial(PrefilteredOpenImageDenoise, "high"),
     ),
 )  # fmt: skip
 
