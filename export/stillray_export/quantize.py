@@ -51,6 +51,7 @@ from stillray_export.integer_layout import arrange
 from stillray_export.plane_order import order_features
 from stillray_export.small_sums import weight_scales
 from stillray_training.blocks import frames_of, mean_frame, read_blocks
+from stillray_training.rendered import albedo_frame
 from stillray_training.run import sequences_in
 from stillray_training.targets import read_filter
 
@@ -206,6 +207,8 @@ def features_of(model: ModelInfo, sequence: Path, between: int = 0) -> Iterator[
         for index, frame in enumerate([*frames, *_still(sequence, frames[-1])]):
             if index == len(frames):
                 denoiser.reset()
+            if model.spec.training.layer == "albedo":
+                frame = albedo_frame(frame)
             denoiser.denoise(replace(frame, filter_spread=spread))
             if index in chosen or index > last:
                 assert engine.given is not None

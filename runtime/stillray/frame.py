@@ -68,6 +68,8 @@ class Frame:
         What the picture covers, in [0, 1], handed over with the clean picture; may hold NaN and
         infinities. Color is filtered as it is, so that it should be multiplied by it, as renderers
         give it.
+    clean_features
+        Whether albedo has no noise, of many samples or denoised before: it is then taken as it is.
 
     Raises
     ------
@@ -88,6 +90,7 @@ class Frame:
     roughness: np.ndarray | None = None
     specular_albedo: np.ndarray | None = None
     alpha: np.ndarray | None = None
+    clean_features: bool = False
 
     def __post_init__(self) -> None:
         color = np.asarray(self.color)
@@ -114,6 +117,8 @@ class Frame:
             check_samples(self.samples)
             if np.ndim(self.samples) == 0:
                 object.__setattr__(self, "samples", float(self.samples))
+        if not isinstance(self.clean_features, bool):
+            raise InputError(f"clean_features must be True or False, got {self.clean_features!r}")
         if self.filter_spread is not None:
             object.__setattr__(self, "filter_spread", check_spread(self.filter_spread))
         if self.jitter is not None:
@@ -133,7 +138,8 @@ class Frame:
     @property
     def given(self) -> frozenset[str]:
         """Names of the buffers that this frame holds."""
-        return frozenset(f.name for f in fields(self) if getattr(self, f.name) is not None)
+        names = {f.name for f in fields(self)} - {"clean_features"}
+        return frozenset(name for name in names if getattr(self, name) is not None)
 
     @property
     def channels(self) -> int:

@@ -136,7 +136,7 @@ def test_a_pyramid_names_the_list_that_is_too_short():
 def test_unknown_model_lists_those_there_are():
     with pytest.raises(
         SpecError,
-        match=r"kpyr-5-still, kpyr-5s, kpyr-5s-still, munet-x1, .*, online-warm, wskp-3, .*, got",
+        match=r"kpyr-5-still, kpyr-5s, kpyr-5s-albedo, .*munet-x1, .*, online-warm, wskp-3, .*got",
     ):
         load("wskp-7")
 

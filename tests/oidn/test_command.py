@@ -104,7 +104,7 @@ def test_what_is_ignored_is_said_in_one_line(files, capsys):
     streams = capsys.readouterr()
     assert streams.err.startswith("ignored: --device cuda")
     assert streams.err.count("\n") == 1
-    for name in ("--clean_aux", "--is", "--type half", "--affinity"):
+    for name in ("--is", "--type half", "--affinity"):
         assert name in streams.err
     assert "32x40" in streams.out
     assert "network: " in streams.out

@@ -585,3 +585,36 @@ def test_a_sequence_has_the_same_lamps_with_a_window_and_without(data, small):
     shines = np.any(lamps != plain, axis=-1)
     np.testing.assert_array_equal(both[~shines], windows[~shines])
     assert np.any(both[shines] != windows[shines])
+
+
+def test_albedo_can_be_what_is_learned(blocks, small):
+    """Its noise is the input, the mean of all samples what it is to become."""
+    rng = np.random.default_rng(3)
+    truth = read_exr(sorted(blocks.glob("frame_*.exr"))[-1]).albedo
+    for path in (*blocks.glob("block_*.exr"), *sorted(blocks.glob("frame_*.exr"))):
+        frame = read_exr(path)
+        noisy = np.clip(truth + rng.normal(0, 0.1, truth.shape), 0, 1).astype(np.float32)
+        names = ("color", "normal", "depth", "motion")
+        write(path, {name: getattr(frame, name) for name in names} | {"albedo": noisy})
+    recipe = dataclasses.replace(small.training, layer="albedo", alone=True, quiet_share=0.3)
+    examples = load_examples(blocks, dataclasses.replace(small, training=recipe), Strips(1))
+    assert {each.kind for each in examples} == {NOISY, STILL, QUIET}
+    single = examples[0]
+    # nothing to divide by
+    assert (single.remodulation_albedo == 1).all()
+    assert (single.demodulation_albedo == 1).all()
+    last, *more = (read_exr(path).albedo for path in (path, *sorted(blocks.glob("block_*.exr"))))
+    np.testing.assert_allclose(single.mean[..., :3], last, atol=1e-3)
+    mean = (last + 3 * more[0] + 12 * more[1]) / 16
+    np.testing.assert_allclose(single.reference, mean, atol=1e-3)
+    for each in examples:
+        assert each.mean[..., :3].max() <= 1.2  # nowhere a firefly
+        assert np.abs(each.mean[..., :3] - truth).mean() < 0.15
+
+
+def test_a_reference_with_albedo_is_what_albedo_is_to_become(blocks, small):
+    sure = np.full((40, 48, 3), 0.25, np.float32)
+    write(blocks / "ref_0002.exr", {"color": clean_color(40, 48), "albedo": sure})
+    recipe = dataclasses.replace(small.training, layer="albedo", alone=True)
+    examples = load_examples(blocks, dataclasses.replace(small, training=recipe), Strips(1))
+    np.testing.assert_allclose(examples[0].reference, sure, rtol=1e-3)

@@ -95,16 +95,16 @@ def mean_frame(blocks: Sequence[tuple[Frame, float]]) -> Frame:
         parts = [getattr(frame, name) * np.float32(count / total) for frame, count in blocks]
         return np.asarray(np.sum(parts, axis=0, dtype=np.float32))
 
-    hits = np.zeros(blocks[0][0].shape, np.float32)
+    first = blocks[0][0]
+    hits = np.zeros(first.shape, np.float32)
     for frame, count in blocks:
         assert frame.depth is not None
         hits += (frame.depth > 0) * np.float32(count / total)
     depth = mean("depth") / np.maximum(hits, np.float32(1e-6))
-    first = blocks[0][0]
     return replace(
         first,
         color=mean("color"),
-        albedo=mean("albedo"),
+        albedo=None if first.albedo is None else mean("albedo"),
         normal=mean("normal"),
         depth=depth,
         samples=total,

@@ -1,10 +1,11 @@
-"""A lens wide open, in front of frames that were rendered through a pinhole.
+"""A lens wide open or a shutter, before frames that were rendered through a pinhole in no time.
 
 What a lens does not show sharp is a disc for every point, and each sample of a pixel meets another
 point: color, albedo, normal and depth of few samples are noise together, at edges that are soft.
 Here each sample of a pixel is that of a pixel drawn from its disc, the reference the mean over the
 disc. A point shows where its own disc reaches, but for one that lies behind what is sharp: discs
-gathered as they would be scattered (Potmesil and Chakravarty 1981 have the sizes of discs).
+gathered as they would be scattered (Potmesil and Chakravarty 1981 have the sizes of discs). While
+a shutter is open points move, all by as much along one way: a line takes the place of the disc.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from stillray_training.draws import log_uniform
 
 _DISC = (1.0, 14.0)  # radius of the disc of what is far away, pixels
 _LARGEST = 24.0  # of any
+_MOVING = 0.25  # share of pictures in which things move while the shutter is open, all in focus
+_ALL = 0.4  # and of those in which all moves, as where a camera turns
 _BEHIND = 1.05  # times as far away as a point is what lies behind it
 _GATHERED = 128  # of a disc, for a reference
 _GOLDEN = np.pi * (3 - np.sqrt(5))
@@ -37,11 +40,32 @@ class Lens:
         Radius around each pixel in which points may lie whose discs reach it.
     depth : (h, w) float32
         Of the points, > 0.
+    way
+        Angle of the line that takes the place of every disc, radians; None for discs.
     """
 
     own: np.ndarray
     reach: np.ndarray
     depth: np.ndarray
+    way: float | None = None
+
+    def places(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Places in the disc, or on the line, all as likely.
+
+        Parameters
+        ----------
+        first, second : (h, w) or (1, 1)
+            Even in [0, 1).
+
+        Returns
+        -------
+        (2, h, w) or (2, 1, 1)
+            Rows down and columns right, in radii.
+        """
+        far, turn = np.sqrt(first), 2 * np.pi * second
+        if self.way is not None:
+            far, turn = 2 * first - 1, np.full_like(second, self.way)
+        return far * np.stack([np.sin(turn), np.cos(turn)])
 
     def seen(self, offset: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of the pixels that samples show, ``(h, w)`` each.
@@ -74,10 +98,14 @@ class Opening:
         Distance of what is sharp, in units of depth, > 0.
     disc
         Radius of the disc of what is infinitely far away, pixels.
+    way
+        None for a lens. Else all is in focus, and what is no further away than ``focus`` moves by
+        twice ``disc`` while the shutter is open, along a line of this angle, radians.
     """
 
     focus: float
     disc: float
+    way: float | None = None
 
 
 def draw_opening(depth: np.ndarray, rng: np.random.Generator) -> Opening:
@@ -90,7 +118,13 @@ def draw_opening(depth: np.ndarray, rng: np.random.Generator) -> Opening:
     rng
         Draws both.
     """
-    return Opening(float(rng.choice(_hit(depth).reshape(-1))), log_uniform(rng, _DISC))
+    distances = _hit(depth).reshape(-1)
+    focus, disc = float(rng.choice(distances)), log_uniform(rng, _DISC)
+    if rng.random() >= _MOVING:
+        return Opening(focus, disc)
+    if rng.random() < _ALL:
+        focus = float(distances.max())
+    return Opening(focus, disc, way=rng.uniform(0, np.pi))
 
 
 def _hit(depth: np.ndarray) -> np.ndarray:
@@ -102,12 +136,15 @@ def _hit(depth: np.ndarray) -> np.ndarray:
 def lens_before(depth: np.ndarray, opening: Opening) -> Lens:
     """What the lens makes of a frame whose depth ``(h, w)`` is, 0 where nothing was hit."""
     depth, focus = _hit(depth), opening.focus
-    own = np.minimum(opening.disc * np.abs(1 - focus / depth), _LARGEST)
-    near = np.where(depth < focus, own, 0)
+    if opening.way is None:
+        own = np.minimum(opening.disc * np.abs(1 - focus / depth), _LARGEST)
+        near = np.where(depth < focus, own, 0)
+    else:
+        near = own = np.where(depth <= focus, opening.disc, 0).astype(np.float32)
     side = 2 * int(np.ceil(near.max())) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     reach = np.maximum(own, cv2.dilate(near, disc))
-    return Lens(own.astype(np.float32), reach.astype(np.float32), depth)
+    return Lens(own.astype(np.float32), reach.astype(np.float32), depth, opening.way)
 
 
 def reference_through_lens(
@@ -117,8 +154,8 @@ def reference_through_lens(
     total = np.zeros(reference.shape, np.float64)
     for index in range(_GATHERED):
         # a spiral of points that each stand for as much of the disc
-        far, turn = np.sqrt((index + 0.5) / _GATHERED), index * _GOLDEN
-        offset = far * np.array([np.sin(turn), np.cos(turn)]).reshape(2, 1, 1)
+        share, turn = (index + 0.5) / _GATHERED, index * _GOLDEN / (2 * np.pi) % 1
+        offset = lens.places(np.full((1, 1), share), np.full((1, 1), turn))
         total += reference[lens.seen(offset, rng)]
     return (total / _GATHERED).astype(np.float32)
 
@@ -135,8 +172,8 @@ def sample_through_lens(frame: Frame, lens: Lens, rng: np.random.Generator) -> F
 
 
 def _disc_point(lens: Lens, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    far, turn = np.sqrt(rng.random(lens.own.shape)), 2 * np.pi * rng.random(lens.own.shape)
-    return lens.seen(far * np.stack([np.sin(turn), np.cos(turn)]), rng)
+    shape = lens.own.shape
+    return lens.seen(lens.places(rng.random(shape), rng.random(shape)), rng)
 
 
 def frame_through_lens(

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -25,6 +26,7 @@ from stillray.families.registry import kernels_of
 from stillray.frame import Frame
 from stillray.model_spec import ModelSpec
 from stillray.pipeline.denoiser import Denoiser
+from stillray.pipeline.prefilter import Prefilter
 from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
 from stillray.stages.state import History, Prepared
@@ -102,6 +104,58 @@ def find_sequences(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.is_dir() and is_complete(path))
 
 
+class Runtime:
+    """What the runtime does to a frame before a network sees it.
+
+    Parameters
+    ----------
+    spec
+        Of the model.
+    strips
+        Where the work runs.
+    """
+
+    def __init__(self, spec: ModelSpec, strips: Strips) -> None:
+        self.spec, self._strips = spec, strips
+        name = spec.prefilter.albedo
+        self._prefilter = Prefilter(name, 1, None, "float32") if name else None
+
+    def close(self) -> None:
+        """Close the network of its prefilter, if it has one."""
+        if self._prefilter is not None:
+            self._prefilter.close()
+
+    def prefiltered(self, frame: Frame) -> Frame:
+        """A frame whose albedo is as the model takes it."""
+        if self._prefilter is None:
+            return frame
+        return self._prefilter.denoised(frame, Context(strips=self._strips), None)
+
+    def example(self, run: list[Frame], reference: np.ndarray) -> Example:
+        """The last of some frames in a row, and what it is to become."""
+        history: History | None = None
+        for frame in run:
+            frame = self.prefiltered(frame)
+            prepared = prepare(frame, self.spec, history, self._strips, Wants(sample=True))
+            history = prepared.history
+        assert history is not None
+        assert prepared.normal is not None
+        assert prepared.depth is not None
+        return Example(
+            mean=history.mean,
+            sample=_sample(prepared),
+            exposure=history.exposure,
+            demodulation_albedo=_albedo(prepared.demodulation_albedo, prepared),
+            remodulation_albedo=_albedo(prepared.remodulation_albedo, prepared),
+            albedo=_albedo(prepared.albedo, prepared),
+            normal=prepared.normal.astype(np.float16),
+            depth=prepared.depth,
+            depth_unit=prepared.depth_unit,
+            previous=np.broadcast_to(np.float32(0), history.mean.shape),
+            reference=reference,
+        )
+
+
 def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Example]:
     """The last frame of a sequence, accumulated from each of the starting frames; then others.
 
@@ -113,41 +167,39 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Examp
     rendered = read_rendered(sequence, spec.training)
     # of its own for every sequence, the same every time
     rng = np.random.default_rng([spec.training.seed, zlib.crc32(sequence.name.encode())])
-    return [
-        replace(example, sequence=sequence.name, rendered_spread=rendered.spread)
-        for example in _all_examples(rendered, spec, strips, rng)
-    ]
+    with closing(Runtime(spec, strips)) as runtime:
+        return [
+            replace(example, sequence=sequence.name, rendered_spread=rendered.spread)
+            for example in _all_examples(rendered, runtime, rng)
+        ]
 
 
-def _all_examples(
-    rendered: Rendered, spec: ModelSpec, strips: Strips, rng: np.random.Generator
-) -> list[Example]:
+def _all_examples(rendered: Rendered, runtime: Runtime, rng: np.random.Generator) -> list[Example]:
     frames, blocks, reference = rendered.frames, rendered.blocks, rendered.reference
     examples = []
-    alone = spec.training.alone
+    alone = runtime.spec.training.alone
     for count in STARTS[:1] if alone else STARTS:
-        example = _example(frames[-count:], reference, spec, strips)
+        example = runtime.example(frames[-count:], reference)
         examples.append(replace(example, spp=rendered.spp, frames=count))
     if len(blocks) == 1:
-        quiet = _example([quiet_frame(frames[-1], reference, rng)], reference, spec, strips)
+        quiet = runtime.example([quiet_frame(frames[-1], reference, rng)], reference)
         return [*examples, replace(quiet, kind=QUIET)]
     whole = mean_frame(blocks)
     stills = _STILLS_ALONE if alone else _STILLS
     for index, (frame, samples) in enumerate(_stills(blocks, rng, stills + _UNEVEN)):
         if index >= stills:
-            assert whole.albedo is not None
             frame = uneven_frame(frame, reference, whole.albedo, rng)
         wanted, added = reference, 0.0
         if index < stills and rng.random() < _WIDE:
             deviation = rng.uniform(*DEVIATIONS)
             frame = frame_through_film(frame, deviation)
             wanted, added = through_film(reference, deviation), film_variance(deviation)
-        example = replace(_example([frame], wanted, spec, strips), film_variance=added)
+        example = replace(runtime.example([frame], wanted), film_variance=added)
         examples.append(replace(example, spp=samples, kind=STILL))
     for frame, samples in _quiets(blocks, reference, rng):
-        examples.append(_quiet_example(frame, samples, reference, spec, strips, rng))
+        examples.append(_quiet_example(frame, samples, reference, runtime, rng))
     for _ in range(0 if alone else _LIT):
-        examples.append(_lit_example(blocks, reference, spec, strips, rng))
+        examples.append(_lit_example(blocks, reference, runtime, rng))
     return examples
 
 
@@ -155,13 +207,13 @@ def _quiet_example(
     frame: Frame,
     samples: float,
     reference: np.ndarray,
-    spec: ModelSpec,
-    strips: Strips,
+    runtime: Runtime,
     rng: np.random.Generator,
 ) -> Example:
     """A quiet frame, perhaps with fireflies, alone or after frames as quiet without any."""
-    shining = rng.random() < _FIREFLIES
-    past = not spec.training.alone and rng.random() < _QUIET_PAST
+    # no albedo is above 1
+    shining = rng.random() < _FIREFLIES and runtime.spec.training.layer == "color"
+    past = not runtime.spec.training.alone and rng.random() < _QUIET_PAST
     run = [frame]
     if shining:
         light = fireflies(reference, rng)
@@ -174,7 +226,7 @@ def _quiet_example(
             run = [quiet] * int(rng.integers(2, 9)) + [last]
             if rng.random() < _WANDERING:
                 run = _wandering(run, light, rng)
-    example = replace(_example(run, reference, spec, strips), spp=samples, kind=QUIET)
+    example = replace(runtime.example(run, reference), spp=samples, kind=QUIET)
     if shining and past:
         # the last output of frames without fireflies: the picture as it should be
         return replace(example, previous=_valid_output(reference))
@@ -204,8 +256,7 @@ def _valid_output(image: np.ndarray) -> np.ndarray:
 def _lit_example(
     blocks: list[tuple[Frame, float]],
     reference: np.ndarray,
-    spec: ModelSpec,
-    strips: Strips,
+    runtime: Runtime,
     rng: np.random.Generator,
 ) -> Example:
     """The last of some frames of as many samples each; light may have changed from each to each.
@@ -223,7 +274,7 @@ def _lit_example(
         replace(frame, color=frame.color * shade)
         for frame, shade in zip(frames, shades, strict=True)
     ]
-    example = _example(run, reference * shades[-1], spec, strips)
+    example = runtime.example(run, reference * shades[-1])
     before = reference * shades[-2]
     before = before + np.float32(_NOISE_LEFT * rng.random()) * (run[-2].color - before)
     return replace(
@@ -281,30 +332,10 @@ def _with_blurred_past(example: Example, rng: np.random.Generator) -> Example:
     return replace(example, mean=mean, previous=previous)
 
 
-def _example(run: list[Frame], reference: np.ndarray, spec: ModelSpec, strips: Strips) -> Example:
-    history: History | None = None
-    for frame in run:
-        prepared = prepare(frame, spec, history, strips, Wants(sample=True))
-        history = prepared.history
-    assert history is not None
-    assert prepared.demodulation_albedo is not None
-    assert prepared.remodulation_albedo is not None
-    assert prepared.albedo is not None
-    assert prepared.normal is not None
-    assert prepared.depth is not None
-    return Example(
-        mean=history.mean,
-        sample=_sample(prepared),
-        exposure=history.exposure,
-        demodulation_albedo=prepared.demodulation_albedo.astype(np.float16),
-        remodulation_albedo=prepared.remodulation_albedo.astype(np.float16),
-        albedo=prepared.albedo.astype(np.float16),
-        normal=prepared.normal.astype(np.float16),
-        depth=prepared.depth,
-        depth_unit=prepared.depth_unit,
-        previous=np.broadcast_to(np.float32(0), history.mean.shape),
-        reference=reference,
-    )
+def _albedo(albedo: np.ndarray | None, prepared: Prepared) -> np.ndarray:
+    """As examples keep it; of a frame without albedo that of white, which changes nothing."""
+    white = np.ones((*prepared.history.mean.shape[:2], 3), np.float16)
+    return white if albedo is None else albedo.astype(np.float16)
 
 
 def _sample(prepared: Prepared) -> np.ndarray:
@@ -350,12 +381,14 @@ def remembered(sequence: Path, denoiser: Denoiser, strips: Strips) -> dict[int, 
     frames = [replace(frame, filter_spread=rendered.spread) for frame in rendered.frames]
     found = {}
     family = kernels_of(spec)
+    with closing(Runtime(spec, strips)) as runtime:
+        last = runtime.prefiltered(frames[-1])
     for count in STARTS[1:]:  # one frame has no past
         denoiser.reset()
         for frame in frames[-count:-1]:
             denoiser.denoise(frame)
         context = Context(strips=strips)
-        plan = family.plan(frames[-1], denoiser.state, Request(), context)
+        plan = family.plan(last, denoiser.state, Request(), context)
         prepared, previous = family.prepare(plan, context)
         if previous is not None:
             found[count] = Remembered(prepared.history.mean, previous)

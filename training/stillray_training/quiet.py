@@ -49,7 +49,7 @@ def quiet_frame(frame: Frame, reference: np.ndarray, rng: np.random.Generator) -
 
 
 def uneven_frame(
-    frame: Frame, reference: np.ndarray, albedo: np.ndarray, rng: np.random.Generator
+    frame: Frame, reference: np.ndarray, albedo: np.ndarray | None, rng: np.random.Generator
 ) -> Frame:
     """A frame that keeps its noise in a part of the picture: surfaces that face a way, or patches.
 
@@ -64,8 +64,8 @@ def uneven_frame(
         A noisy frame.
     reference : (h, w, 3)
         Its radiance without noise.
-    albedo : (h, w, 3)
-        Its albedo with less noise than the frame's.
+    albedo : (h, w, 3) or None
+        Its albedo with less noise than the frame's; None where the frame has none.
     rng
         Draws the part, and how much noise is left elsewhere: none to a third.
     """
@@ -79,7 +79,7 @@ def uneven_frame(
     inside = field >= np.quantile(field, rng.uniform(0.3, 0.9))
     kept = np.where(inside, 1.0, rng.random() ** 2 / 3)[..., None].astype(np.float32)
     clean = reference
-    if frame.albedo is not None:
+    if frame.albedo is not None and albedo is not None:
         # where next to nothing is reflected, the ratio would be noise
         textured = np.minimum(frame.albedo, albedo) > _DARK
         ratio = np.divide(frame.albedo, albedo, out=np.ones_like(albedo), where=textured)

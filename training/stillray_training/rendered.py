@@ -12,7 +12,7 @@ import numpy as np
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.model_spec.training import Training
-from stillray_training.blocks import frames_of, read_blocks
+from stillray_training.blocks import frames_of, mean_frame, read_blocks
 from stillray_training.bright_windows import draw_window, frame_through, reference_through
 from stillray_training.defocus import (
     draw_opening,
@@ -21,11 +21,15 @@ from stillray_training.defocus import (
     reference_through_lens,
     sample_through_lens,
 )
+from stillray_training.fine_textures import draw_texture
 from stillray_training.heavy_tail import draw_tail, frame_with, reference_with
 from stillray_training.small_lamps import draw_lamps, lit_frame, lit_reference
-from stillray_training.targets import read_filter, read_target
+from stillray_training.targets import read_albedo_target, read_filter, read_target
 from stillray_training.thin_shadows import draw_shadow, in_shadow, reference_in_shadow
 from stillray_training.thinned import draw_kept, thinned
+
+# share of painted albedos that have no noise, as renderers give them that look once
+_NOISELESS = 0.35
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,6 +82,8 @@ def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True)
     rendered = Rendered(
         frames=frames, blocks=blocks, reference=reference, spp=spp, spread=read_filter(sequence)
     )
+    if recipe.layer == "albedo":
+        rendered = _of_albedo(rendered, read_albedo_target(sequence))
     # drawn by themselves: whatever the share of windows, a sequence has the same lamps
     name = zlib.crc32(sequence.name.encode())
     for own, share, paint in (
@@ -86,12 +92,31 @@ def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True)
         (3, recipe.shadow_share, _with_shadow),
         (2, recipe.window_share, _with_window),
         (1, recipe.lamp_share, _with_lamps),
+        (7, recipe.texture_share, _with_texture),
         (6, recipe.defocus_share, _through_lens),
     ):
         rng = np.random.default_rng([recipe.seed, name, own])
         if rng.random() < share:
             rendered = paint(rendered, rng)
     return rendered
+
+
+def _of_albedo(rendered: Rendered, target: np.ndarray | None) -> Rendered:
+    """A sequence of the frames' albedos, to learn to denoise those; without targets of their own
+    they become the mean of all samples."""
+    blocks = [(albedo_frame(frame), count) for frame, count in rendered.blocks]
+    return replace(
+        rendered,
+        frames=[albedo_frame(frame) for frame in rendered.frames],
+        blocks=blocks,
+        reference=mean_frame(blocks).color if target is None else target,
+    )
+
+
+def albedo_frame(frame: Frame) -> Frame:
+    """A frame whose albedo is what is denoised."""
+    assert frame.albedo is not None
+    return replace(frame, color=np.clip(frame.albedo, 0, 1), albedo=None)
 
 
 def _thinned(rendered: Rendered, rng: np.random.Generator) -> Rendered:
@@ -136,6 +161,17 @@ def _with_shadow(rendered: Rendered, rng: np.random.Generator) -> Rendered:
         rendered,
         reference_in_shadow(rendered.reference, light, rendered.depth),
         lambda frame, samples: in_shadow(frame, light),
+    )
+
+
+def _with_texture(rendered: Rendered, rng: np.random.Generator) -> Rendered:
+    texture = draw_texture(rendered.reference.shape[:2], rendered.spread, rng)
+    clean = rendered.reference * texture
+    noiseless = rng.random() < _NOISELESS
+    return _painted(
+        rendered,
+        clean,
+        lambda frame, samples: replace(frame, color=clean if noiseless else frame.color * texture),
     )
 
 

@@ -44,6 +44,13 @@ def read_target(sequence: Path) -> tuple[np.ndarray, float]:
     return read_exr(paths[-1]).color, float(options["spp"])
 
 
+def read_albedo_target(sequence: Path) -> np.ndarray | None:
+    """The albedo of the last frame's reference, ``(h, w, 3)``; None where it was not rendered."""
+    paths = sorted(sequence.glob("ref_*.exr"))
+    albedo = read_exr(paths[-1]).albedo if paths else None
+    return None if albedo is None else np.clip(albedo, 0, 1)
+
+
 def read_filter(sequence: Path) -> float | None:
     """Standard deviation of the pixel filter that a sequence was rendered with, in pixels.
 

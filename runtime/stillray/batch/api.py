@@ -58,6 +58,8 @@ class ShotOptions:
         Samples a pixel of the frames, above 0; None for what the files say.
     filter_spread
         Standard deviation of the renderer's pixel filter, in pixels; None for what the files say.
+    clean_features
+        Whether the albedo of the frames has no noise, as in `stillray.Frame`.
     aovs
         Layers of light to filter as the color; empty for all that are known, None for none.
     only_color
@@ -103,6 +105,7 @@ class ShotOptions:
     layers: Mapping[str, str] = field(default_factory=dict)
     samples: float | None = None
     filter_spread: float | None = None
+    clean_features: bool = False
     aovs: tuple[str, ...] | None = None
     only_color: bool = False
     frames: str | None = None
@@ -120,6 +123,15 @@ class ShotOptions:
     workers: int | None = None
     scheduler: str | None = None
     chunk: int | None = None
+
+    @property
+    def told(self) -> Told:
+        """What is said of every frame."""
+        return Told(
+            samples=self.samples,
+            filter_spread=self.filter_spread,
+            clean_features=self.clean_features,
+        )
 
     def __post_init__(self) -> None:
         if self.samples is not None:
@@ -375,7 +387,7 @@ def plan_run(
         aovs=options.aovs,
         only_color=options.only_color,
         temporal=temporal and "motion" not in options.companions,
-        told=Told(samples=options.samples, filter_spread=options.filter_spread),
+        told=options.told,
     )
     _check_outputs(jobs, layout, resume=options.resume)
     chosen, family = _opened(model, options, alone=not temporal or len(jobs) == 1)

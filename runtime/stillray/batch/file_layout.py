@@ -44,10 +44,13 @@ class Told:
     ----------
     samples, filter_spread
         As in `stillray.Frame`, numbers.
+    clean_features
+        As in `stillray.Frame`.
     """
 
     samples: float | None = None
     filter_spread: float | None = None
+    clean_features: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,6 +137,7 @@ class Layout:
             "motion": None if self.detection is None else str(convention),
             "samples": self.told.samples,
             "filter_spread": self.told.filter_spread,
+            **({"clean_features": True} if self.told.clean_features else {}),
             **({"views": ",".join(self.views)} if self.views else {}),
         }
 
@@ -167,6 +171,7 @@ class Layout:
             )
             if self.told.filter_spread is not None:
                 frame = replace(frame, filter_spread=self.told.filter_spread)
+            frame = replace(frame, clean_features=self.told.clean_features)
             lights = {}
             if self.aovs is not None and not is_float_map(path):
                 lights = read_lights(path, self.aovs, layers=layers)

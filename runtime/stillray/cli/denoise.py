@@ -92,6 +92,13 @@ def denoise(
             "Files of Cycles are taken to have Blender's usual one."
         ),
     ] = None,
+    clean_features: Annotated[
+        bool,
+        typer.Option(
+            "--clean-features",
+            help="Albedo has no noise, as of many samples: take it as it is.",
+        ),
+    ] = False,
     aovs: Annotated[
         str | None,
         typer.Option(
@@ -246,6 +253,7 @@ def denoise(
         layers=parse_overrides(layer or []) | ({} if view is None else {VIEW: view}),
         samples=samples,
         filter_spread=None if pixel_filter is None else parse_filter(pixel_filter),
+        clean_features=clean_features,
         aovs=None if aovs is None else () if aovs == "all" else tuple(aovs.split(",")),
         only_color=only_color,
         frames=frames,

@@ -141,12 +141,12 @@ class FilteredLayers:
             self.pasts[name] = LayerPast(mean=mean, output=output)
         if self._shading.restored is not None:  # not remembered: as of the picture
             restored, _ = self._shading.restored
-            light = own_light(own.sample, own.mean)
+            light, at = own_light(own.sample, own.mean), (restored.rows, restored.columns)
+            # a lamp's light is gained, too: it comes before the gain, as in the picture
+            rare = 1.0 if self._shading.rare is None else self._shading.rare[*at, None]
+            image[at] /= rare
             restored.put_back(image, light, own.remodulation_albedo)
-            if self._shading.rare is not None:
-                image[restored.rows, restored.columns] *= self._shading.rare[
-                    restored.rows, restored.columns, None
-                ]
+            image[at] *= rare
         return image
 
     def _demodulated(

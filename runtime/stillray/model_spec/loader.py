@@ -36,6 +36,7 @@ from stillray.model_spec.stages import (
     Demodulate,
     Inputs,
     Lamps,
+    Prefilter,
     RareLight,
     Relief,
     Temporal,
@@ -84,6 +85,7 @@ class ModelSpec:
     relief: Relief = Relief()  # noqa: RUF009  a value that nobody can change
     lamps: Lamps = Lamps()  # noqa: RUF009  the same
     rare_light: RareLight = RareLight()  # noqa: RUF009  the same
+    prefilter: Prefilter = Prefilter()  # noqa: RUF009  the same
     # How it differs from the paper it follows, "what the paper says; here what is done". Prose:
     # no part of what a model is, and models that were exported before it was known lack it.
     differs: tuple[str, ...] = dataclasses.field(default=(), compare=False)
@@ -143,18 +145,26 @@ class ModelSpec:
         bounded = self.temporal.sharp_contrast > 0 and not family.weighs_past
         within("temporal.edge_blur", self.temporal.edge_blur, 0, 1e6 if bounded else 0)
         within("relief.window", self.relief.window, 0, 1e3)
+        if self.prefilter.albedo:
+            _require_name(self.prefilter.albedo)
 
     def to_json(self) -> str:
         """The spec as JSON text, as it is embedded in a model file."""
         data = dataclasses.asdict(self)
         # as before they were known
-        for name in ("differs", "relief", "lamps", "rare_light"):
-            if getattr(self, name) == _UNSAID[name]:
+        for name, unsaid in _UNSAID.items():
+            if getattr(self, name) == unsaid:
                 del data[name]
         return json.dumps(data, sort_keys=True)
 
 
-_UNSAID = {"differs": (), "relief": Relief(), "lamps": Lamps(), "rare_light": RareLight()}
+_UNSAID = {
+    "differs": (),
+    "relief": Relief(),
+    "lamps": Lamps(),
+    "rare_light": RareLight(),
+    "prefilter": Prefilter(),
+}
 FAMILIES = {
     "weight-sharing-kernels": Family(ImportanceNetwork, FusedKernels),
     "kernel-pyramid": Family(PyramidNetwork, PyramidKernels),

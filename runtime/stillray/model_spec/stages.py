@@ -46,6 +46,13 @@ class RareLight:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Prefilter:
+    """What is denoised before a frame is, see `stillray.pipeline.prefilter`."""
+
+    albedo: str = ""  # name of the model that denoises it; none: it is taken as it is
+
+
+@dataclass(frozen=True, kw_only=True)
 class Transfer:
     """From scene-linear irradiance to network features."""
 

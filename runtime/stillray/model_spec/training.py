@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from stillray.model_spec.rules import one_of, within
 
 OPTIMISERS = ("adam", "muon")
+LAYERS = ("color", "albedo")
 _MAX_COUNT = 10**9  # steps and the like, of training
 
 
@@ -42,6 +43,7 @@ class Training:
     # Whether the network's convolutions run so where the processor can: half the time, less exact
     bfloat16: bool = False
     still_share: float = 0.0  # share of patches of single frames of 2 to 32 samples a pixel, [0, 1]
+    layer: str = "color"  # one of LAYERS: what of a frame is learned to be denoised
     alone: bool = False  # whether no patch has a past: for a model of single frames
     # share of patches of a recurrent model that have neither jitter nor roughness nor specular
     # albedo, as most renderers write them, [0, 1]
@@ -71,9 +73,12 @@ class Training:
     # share of sequences of whose samples a part stays and counts as much more, so that they are as
     # noisy as scenes that are harder to light, of models of patches, [0, 1]
     thin_share: float = 0.0
-    # share of sequences that are seen through a lens that is wide open, of models of patches,
-    # [0, 1]
+    # share of sequences that are seen through a lens that is wide open, or in which things move
+    # while the shutter is open, of models of patches, [0, 1]
     defocus_share: float = 0.0
+    # share of sequences over whose albedo a fine texture is painted, of models that denoise that,
+    # [0, 1]
+    texture_share: float = 0.0
     # share of batches whose patches have 32, 48 or 64 pixels a side, so that pictures are met whose
     # coarser levels have next to no pixels, of models of patches, [0, 1]
     small_share: float = 0.0
@@ -99,7 +104,7 @@ class Training:
             "quiet_power", "average", "still_share", "quiet_share", "drop_feature", "plain_share",
             "shade_share", "paint_share", "firefly_share", "lamp_share", "fresh_share",
             "mean_share", "small_share", "window_share", "shadow_share", "tail_share",
-            "thin_share", "defocus_share",
+            "thin_share", "defocus_share", "texture_share",
         ):  # fmt: skip
             within(f"training.{key}", getattr(self, key), 0, 1)
         for key in ("steps", "batch", "patch", "frames"):
@@ -107,6 +112,7 @@ class Training:
         for key in ("history_from", "history_every", "seed", "warm_frames"):
             within(f"training.{key}", getattr(self, key), 0, _MAX_COUNT)
         one_of("training.optimiser", self.optimiser, OPTIMISERS)
+        one_of("training.layer", self.layer, LAYERS)
         within("training.learning_rate", self.learning_rate, 1e-12, 1e3)
         within("training.smape_epsilon", self.smape_epsilon, 1e-12, 1e6)
         within("training.exposure_stops", self.exposure_stops, 0, 32)

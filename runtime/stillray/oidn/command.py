@@ -10,7 +10,7 @@ from pathlib import Path
 
 from stillray.errors import InputError
 from stillray.io.image_file import check_suffix, read_image, write_image
-from stillray.oidn.filtering import FILTER_TYPES, Parameters, filtered
+from stillray.oidn.filtering import FILTER_TYPES, Parameters, filtered, model_for
 from stillray.pipeline.denoiser import Denoiser
 from stillray.version import __version__
 
@@ -96,9 +96,10 @@ def _parser() -> argparse.ArgumentParser:
     add("--verbose", "--v", type=int, default=1, metavar="0-3", help="0: print errors only")
     add("--list_devices", "--list-devices", "--listDevices", "--ld", action="store_true",
         help="print the devices there are")  # fmt: skip
+    parser.add_argument("--clean_aux", "--clean-aux", "--cleanAux", action="store_true",
+        help="albedo has no noise: it is not filtered first")  # fmt: skip
     ignored = parser.add_argument_group("taken and ignored, which is said")
     ignored.add_argument("--device", "--dev", "--d", default="default", metavar="NAME")
-    ignored.add_argument("--clean_aux", "--clean-aux", "--cleanAux", action="store_true")
     ignored.add_argument("--is", "--input_scale", "--input-scale", "--inputScale", type=float,
                          dest="input_scale", metavar="X")  # fmt: skip
     ignored.add_argument("--type", "--t", type=_one_of(_TYPES), default="float",
@@ -129,12 +130,14 @@ def _run(options: argparse.Namespace) -> None:
         hdr=options.hdr is not None,
         srgb=options.srgb,
         directional=options.dir is not None,
+        clean_aux=options.clean_aux,
         max_memory_mb=options.maxmem,
     )
     if ignored := _ignored(options):
         print(f"ignored: {', '.join(ignored)}", file=sys.stderr)
     start = time.perf_counter()
-    with Denoiser(options.quality, threads=options.threads, temporal=False) as denoiser:
+    model = model_for(images, options.quality)
+    with Denoiser(model, threads=options.threads, temporal=False) as denoiser:
         picture = filtered(images, parameters, denoiser)
         if options.verbose > 0:
             height, width = picture.shape[:2]
@@ -152,7 +155,6 @@ def _ignored(options: argparse.Namespace) -> list[str]:
     reasons = {
         f"--device {options.device} (runs on the CPU)": options.device.lower()
         not in ("default", "cpu", "0"),
-        "--clean_aux (noise in albedo and normal is borne either way)": options.clean_aux,
         "--is (exposure is found)": options.input_scale is not None,
         "--type half (computed in float)": options.type == "half",
         "--affinity": options.affinity is not None,

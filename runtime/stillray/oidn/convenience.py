@@ -41,7 +41,7 @@ def denoise(
     hdr
         Whether color is radiance, 0 and more; always so with ``"RTLightmap"``.
     clean_aux
-        Taken, and changes nothing: noise in albedo and normal is borne either way.
+        Whether albedo has no noise: it is not filtered first.
     quality
         ``"high"``, ``"balanced"``, ``"fast"``, ``"default"``, or ``OIDN_QUALITY_*``.
     filter_type
@@ -79,7 +79,7 @@ def denoise(
     if filter_type == constants.OIDN_FILTER_TYPE_RT_LIGHTMAP and (len(images) > 1 or clean_aux):
         raise InputError("albedo, normal and clean_aux must not be given with RTLightmap")
     model = _model(quality)
-    parameters = Parameters(filter_type=filter_type, hdr=hdr)
+    parameters = Parameters(filter_type=filter_type, hdr=hdr, clean_aux=clean_aux)
     output = np.empty(images["color"].shape, images["color"].dtype)
     with _lock:
         device = _shared_device()

@@ -13,7 +13,7 @@ import numpy as np
 
 from stillray.errors import InputError
 from stillray.oidn import constants
-from stillray.oidn.filtering import Parameters, filtered
+from stillray.oidn.filtering import Parameters, filtered, model_for
 from stillray.oidn.version import oidn_version
 from stillray.pipeline.denoiser import Denoiser
 
@@ -177,7 +177,7 @@ class Device:
             if os.getpid() != self._process:
                 return self._fail("the device must be made in the process that uses it")
             try:
-                result = filtered(images, parameters, self._denoiser(quality))
+                result = filtered(images, parameters, self._denoiser(model_for(images, quality)))
             except InputError as error:
                 return self._fail(str(error))
             except MemoryError:

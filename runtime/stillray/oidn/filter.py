@@ -136,7 +136,7 @@ class Filter:
         return float(self._get(name))
 
     def set_bool(self, name: str, value: bool) -> None:
-        """Set a boolean parameter; ``cleanAux`` changes nothing here."""
+        """Set a boolean parameter."""
         self._set(name, bool(value))
 
     def set_int(self, name: str, value: int) -> None:
@@ -178,6 +178,7 @@ class Filter:
             hdr=bool(self._values["hdr"]),
             srgb=bool(self._values["srgb"]),
             directional=bool(self._values["directional"]),
+            clean_aux=bool(self._values["cleanAux"]),
             max_memory_mb=int(self._values["maxMemoryMB"]),
         )
 

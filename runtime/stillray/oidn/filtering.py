@@ -15,6 +15,8 @@ from stillray.oidn.constants import OIDN_FILTER_TYPE_RT, OIDN_FILTER_TYPE_RT_LIG
 from stillray.pipeline.denoiser import Denoiser
 from stillray.pipeline.tiles import floor_bytes
 
+#: What filters an albedo that is given alone.
+ALBEDO_MODEL = "kpyr-5s-albedo"
 FILTER_TYPES = (OIDN_FILTER_TYPE_RT, OIDN_FILTER_TYPE_RT_LIGHTMAP)
 
 
@@ -28,6 +30,8 @@ class Parameters:
         ``"RT"`` or ``"RTLightmap"``; color of the latter is HDR, or directional.
     hdr, srgb, directional
         What the color's values are; linear in [0, 1] where none is set.
+    clean_aux
+        Whether albedo has no noise, or was filtered before: it is not filtered again.
     max_memory_mb
         MiB that the network and the reconstruction may take beside the frame's buffers, which
         are done in tiles then; negative for no bound.
@@ -37,6 +41,7 @@ class Parameters:
     hdr: bool = False
     srgb: bool = False
     directional: bool = False
+    clean_aux: bool = False
     max_memory_mb: int = -1
 
     @property
@@ -47,6 +52,11 @@ class Parameters:
         if self.hdr:
             return Encoding.HDR
         return Encoding.SRGB if self.srgb else Encoding.LDR
+
+
+def model_for(images: Mapping[str, np.ndarray], quality: str) -> str:
+    """The model, as `stillray.Denoiser` takes it, that filters images at a quality."""
+    return ALBEDO_MODEL if set(images) == {"albedo"} else quality
 
 
 def filtered(
@@ -85,7 +95,7 @@ def filtered(
     # coefficients of a direction are not divided by albedo, and a guide has no guide
     if name == "color" and encoding is not Encoding.SIGNED:
         guides = {n: _three(images[n]) for n in ("albedo", "normal") if n in images}
-    frame = Frame(color=_three(subject), **guides)
+    frame = Frame(color=_three(subject), clean_features=parameters.clean_aux, **guides)
     denoiser.max_memory = None
     if parameters.max_memory_mb >= 0:
         scratch = parameters.max_memory_mb << 20

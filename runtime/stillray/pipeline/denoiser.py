@@ -35,6 +35,7 @@ from stillray.pipeline.layers import validated
 from stillray.pipeline.opening import engine_of_model, family_of_model, model_of, network_path
 from stillray.pipeline.output import Target
 from stillray.pipeline.plan import Asked, plan_frame
+from stillray.pipeline.prefilter import PREFILTER, Prefilter, prefilter_stages
 from stillray.pipeline.tiles import check_memory
 from stillray.pipeline.turns import Turns
 from stillray.stages.plan import Plan, Stage
@@ -127,6 +128,9 @@ class Denoiser:
         #: Where the network runs.
         self.engine: Engine = engine or engine_of_model(self.model, threads, chosen, network)
         self._owns_engine = engine is None
+        prefilter = self.model.spec.prefilter.albedo
+        exact = precision if precision == "float32" else "auto"
+        self._prefilter = Prefilter(prefilter, threads, chosen, exact) if prefilter else None
         self._turns = Turns()
         self._strips = Strips(threads)
         self._workspace = Workspace()
@@ -156,6 +160,8 @@ class Denoiser:
         self._turns.close()
         if self._owns_engine:
             self.engine.close()
+        if self._prefilter is not None:
+            self._prefilter.close()
         self._strips.close()
 
     @property
@@ -240,7 +246,8 @@ class Denoiser:
         """
         _require_frame(frame)
         with self._turns.take():
-            return list(self._plan(frame, layers, Context(strips=self._strips)).stages)
+            before = prefilter_stages(frame, self.model.spec)
+            return [*before, *self._plan(frame, layers, Context(strips=self._strips)).stages]
 
     def denoise(
         self,
@@ -389,6 +396,10 @@ class Denoiser:
             timings=self.last_timings,
             back_buffer=self._back_buffer,
         )
+        first = prefilter_stages(frame, self.model.spec)
+        if self._prefilter is not None and any(stage.runs for stage in first):
+            with timed(self.last_timings, PREFILTER):
+                frame = self._prefilter.denoised(frame, context, self.max_memory)
         step = self._family.step(self._plan(frame, layers, context), context)
         images: dict[str, np.ndarray] = {}
         if step.filter_layer is not None:

@@ -22,8 +22,9 @@ from stillray.families.registry import family_of
 from stillray.families.temporal_kernels import TemporalKernels
 from stillray.frame import Frame
 from stillray.models.precision import integers_a_float
-from stillray.models.registry import ModelInfo
+from stillray.models.registry import ModelInfo, find_model
 from stillray.models.session import open_session
+from stillray.pipeline.prefilter import PREFILTER, guides_of
 from stillray.profiling.machine import PeakRates
 
 _BYTES = 4  # of a float32
@@ -97,13 +98,21 @@ def stage_costs(info: ModelInfo, frame: Frame, precision: str = "float32") -> di
         lanes = integers_a_float()
         network = Cost(operations=network.operations, bytes=network.bytes / 4, lanes=lanes)
     pixels = height * width
-    return {
+    costs = {
         "network": network,
         **{
             name: Cost(operations=operations * pixels, bytes=_BYTES * planes * pixels)
             for name, (operations, planes) in stages.items()
         },
     }
+    prefilter = info.spec.prefilter.albedo
+    if prefilter and frame.albedo is not None and not frame.clean_features:
+        first = stage_costs(find_model(prefilter), guides_of(frame, frame.albedo), precision)
+        costs[PREFILTER] = Cost(
+            operations=sum(cost.operations / cost.lanes for cost in first.values()),
+            bytes=sum(cost.bytes for cost in first.values()),
+        )
+    return costs
 
 
 #: Of small lamps where none was lost: light times albedo, two luminances; for three sizes of blocks

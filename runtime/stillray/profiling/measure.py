@@ -27,8 +27,8 @@ from stillray.profiling.machine import output_of, peak_resident
 TOTAL, REST = "total", "rest"
 #: The stages in the order of a frame's way, files included.
 ORDER = (
-    "read", "inspect", "repair", "remove_outliers", "find_filter", "demodulate", "expose",
-    "specular_motion", "surface_guides", "enlarge", "warp", "reproject", "reject_history",
+    "read", "prefilter", "inspect", "repair", "remove_outliers", "find_filter", "demodulate",
+    "expose", "specular_motion", "surface_guides", "enlarge", "warp", "reproject", "reject_history",
     "accumulate", "accumulate_albedo", "resample_output", "regress", "encode", "network",
     "filter", "reconstruct", "remodulate", "relief", "lamps", "rare_light", "layers", "learn",
     "keep_output", "remember",
