@@ -316,7 +316,6 @@ _CLAMPS = "what is far above all around is taken away, and of such light that is
     "samples of a heavy tail: one in 30 is 3 to 10,000 times as bright, 16 a pixel, four frames",
     "share of pixels whose light is off by more than a quarter",
     0.1,
-    kpyr_5=_CLAMPS,
     nbg_2x1=_CLAMPS,
     nbg_7x3=_CLAMPS,
     wskp_3=_CLAMPS,

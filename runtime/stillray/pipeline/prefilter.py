@@ -27,6 +27,7 @@ from stillray.pipeline.opening import (
 from stillray.pipeline.plan import Asked, plan_frame
 from stillray.stages.plan import Stage
 from stillray.stages.sample_bounds import bound_by_samples
+from stillray.stages.shared_noise import shared_spread
 
 _BLACK = 1e-3  # albedo at or below which a pixel shows no surface, and its light is not divided
 _GREY = 1e-2  # and that it may have when denoised, to be black still: else it was black by chance
@@ -109,6 +110,11 @@ class Prefilter:
 
         strips.run(bounded, *frame.shape)
         guides = guides_of(frame, albedo)
+        if guides.filter_spread is None:
+            # light tells it, albedo hardly; what is no number yet tells nothing
+            with np.errstate(all="ignore"):
+                spread = shared_spread(frame.color, frame.albedo)
+            guides = replace(guides, filter_spread=spread)
         engine = WatchedEngine(self._engine, strips.watch) if strips.watch.active else self._engine
         inner = Context(strips=strips, engine=engine, workspace=context.workspace)
         asked = Asked(model=self._model.name, temporal=False, max_memory=max_memory)
