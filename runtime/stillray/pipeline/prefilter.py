@@ -126,6 +126,8 @@ class Prefilter:
         def keep_black(rows: slice) -> None:
             black = cv2.bitwise_and(_within(albedo[rows], _BLACK), _within(image[rows], _GREY))
             image[rows][black > 0] = 0
+            # rounding: what is above 1 would be repaired
+            np.minimum(image[rows], 1, out=image[rows])
 
         strips.run(keep_black, *frame.shape)
         return replace(frame, albedo=image, clean_features=True)
