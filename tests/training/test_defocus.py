@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -162,8 +164,24 @@ def test_a_lens_is_focused_on_something(seed):
     depth = np.ones(SHAPE, np.float32)
     depth[:, 20:40] = 3
     depth[:10] = 0  # the sky
-    lens = lens_before(depth, draw_opening(depth, rng))
-    assert lens.own.min() == 0 or lens.way is not None
+    lens = lens_before(depth, replace(draw_opening(depth, rng), way=None))
+    assert lens.own.min() == 0
     assert lens.own.max() > 0
     assert np.all(lens.reach >= lens.own)
     assert np.all(lens.depth > 0)
+
+
+def test_some_openings_are_a_shutters_and_move_what_is_near_or_all():
+    depth = np.ones(SHAPE, np.float32)
+    depth[:, 20:40] = 3
+    depth[:10] = 0  # the sky
+    drawn = [draw_opening(depth, np.random.default_rng(seed)) for seed in range(120)]
+    moving = [lens_before(depth, each) for each in drawn if each.way is not None]
+    assert 0.1 < len(moving) / len(drawn) < 0.4
+    stay = [lens.own == 0 for lens in moving]
+    assert any(each.any() for each in stay)
+    assert any(not each.any() for each in stay)
+    for lens, still in zip(moving, stay, strict=True):
+        assert lens.own.max() > 0
+        # what stays lies behind all that moves
+        assert not still.any() or lens.depth[still].min() > lens.depth[~still].max()

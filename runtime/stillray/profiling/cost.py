@@ -24,7 +24,7 @@ from stillray.frame import Frame
 from stillray.models.precision import integers_a_float
 from stillray.models.registry import ModelInfo, find_model
 from stillray.models.session import open_session
-from stillray.pipeline.prefilter import PREFILTER, guides_of
+from stillray.pipeline.prefilter import PREFILTER, guides_of, prefilter_stages
 from stillray.profiling.machine import PeakRates
 
 _BYTES = 4  # of a float32
@@ -105,9 +105,9 @@ def stage_costs(info: ModelInfo, frame: Frame, precision: str = "float32") -> di
             for name, (operations, planes) in stages.items()
         },
     }
-    prefilter = info.spec.prefilter.albedo
-    if prefilter and frame.albedo is not None and not frame.clean_features:
-        first = stage_costs(find_model(prefilter), guides_of(frame, frame.albedo), precision)
+    if frame.albedo is not None and any(s.runs for s in prefilter_stages(frame, info.spec)):
+        prefilter = find_model(info.spec.prefilter.albedo)
+        first = stage_costs(prefilter, guides_of(frame, frame.albedo), precision)
         costs[PREFILTER] = Cost(
             operations=sum(cost.operations / cost.lanes for cost in first.values()),
             bytes=sum(cost.bytes for cost in first.values()),
