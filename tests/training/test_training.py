@@ -39,10 +39,16 @@ from stillray_training.losses import (  # noqa: E402
 )
 from stillray_training.networks.repvgg import without_branches  # noqa: E402
 from stillray_training.patches import PatchSampler  # noqa: E402
+from stillray_training.peers.oidn import open_image_denoise  # noqa: E402
 from stillray_training.rendered import read_rendered  # noqa: E402
 from stillray_training.simulate.sequence import write  # noqa: E402
 from stillray_training.start import STARTED_FROM, start_from  # noqa: E402
-from stillray_training.targets import make_target, read_filter, read_target  # noqa: E402
+from stillray_training.targets import (  # noqa: E402
+    make_target,
+    make_targets,
+    read_filter,
+    read_target,
+)
 from tests.conftest import clean_color, make_frame  # noqa: E402
 
 
@@ -218,6 +224,26 @@ def test_a_target_takes_the_place_of_the_reference(data, small, tmp_path):
     after = read_target(sequence)[0]
     assert abs(bias) < 0.05
     assert np.abs(after - truth).mean() < 0.5 * np.abs(before - truth).mean()
+
+
+def test_noise_of_features_is_not_in_a_target(tmp_path):
+    pytest.importorskip("pyoidn")
+    height, width, rng = 64, 72, np.random.default_rng(0)
+    truth = clean_color(height, width)
+    noise = rng.normal(0, 0.1, (height, width, 3)).astype(np.float32)
+    features = {
+        "albedo": np.clip(0.5 + noise, 0, 1),
+        "normal": np.float32([0, 0, 1]) + noise,
+    }
+    write(tmp_path / "ref_0000.exr", {"color": truth * (1 + noise[::-1]), **features})
+    make_targets(tmp_path)
+    frame = read_exr(tmp_path / "ref_0000.exr")
+    taken_for_clean = open_image_denoise(
+        frame.color, frame.albedo, frame.normal, "high", clean_features=True
+    )
+    target = read_exr(tmp_path / "target_0000.exr").color
+    error, with_noise = (np.abs(image - truth).mean() for image in (target, taken_for_clean))
+    assert error < 0.5 * with_noise
 
 
 def test_quiet_patches_come_as_often_as_asked(data, small):

@@ -81,13 +81,14 @@ class PrefilteredOpenImageDenoise:
     def denoise(self, frame: Frame) -> np.ndarray:
         """Denoise a frame: radiance ``(h, w, 3)``."""
         albedo, normal = (
-            None if plane is None else self._prefiltered(name, plane)
+            None if plane is None else self.prefiltered(name, plane)
             for name, plane in (("albedo", frame.albedo), ("normal", frame.normal))
         )
         clean = albedo is not None or normal is not None
         return open_image_denoise(frame.color, albedo, normal, self.quality, clean_features=clean)
 
-    def _prefiltered(self, name: str, plane: np.ndarray) -> np.ndarray:
+    def prefiltered(self, name: str, plane: np.ndarray) -> np.ndarray:
+        """An ``"albedo"`` or a ``"normal"``, ``(h, w, 3)`` float32, denoised by its own network."""
         import pyoidn
 
         given, made = np.ascontiguousarray(plane, np.float32), np.empty(plane.shape, np.float32)
