@@ -23,6 +23,7 @@ from stillray_training.defocus import (
 )
 from stillray_training.fine_textures import draw_texture
 from stillray_training.heavy_tail import draw_tail, frame_with, reference_with
+from stillray_training.mixed_materials import draw_mixtures, mixed_frame, mixed_reference
 from stillray_training.small_lamps import draw_lamps, lit_frame, lit_reference
 from stillray_training.targets import read_albedo_target, read_filter, read_target
 from stillray_training.thin_shadows import draw_shadow, in_shadow, reference_in_shadow
@@ -93,6 +94,7 @@ def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True)
         (2, recipe.window_share, _with_window),
         (1, recipe.lamp_share, _with_lamps),
         (7, recipe.texture_share, _with_texture),
+        (8, recipe.mixture_share, _with_mixtures),
         (6, recipe.defocus_share, _through_lens),
     ):
         rng = np.random.default_rng([recipe.seed, name, own])
@@ -172,6 +174,15 @@ def _with_texture(rendered: Rendered, rng: np.random.Generator) -> Rendered:
         rendered,
         clean,
         lambda frame, samples: replace(frame, color=clean if noiseless else frame.color * texture),
+    )
+
+
+def _with_mixtures(rendered: Rendered, rng: np.random.Generator) -> Rendered:
+    mixtures = draw_mixtures(rendered.reference, rendered.spread, rng)
+    return _painted(
+        rendered,
+        mixed_reference(rendered.reference, mixtures),
+        lambda frame, samples: mixed_frame(frame, mixtures, samples, rng),
     )
 
 

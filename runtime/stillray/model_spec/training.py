@@ -79,6 +79,9 @@ class Training:
     # share of sequences over whose albedo a fine texture is painted, of models that denoise that,
     # [0, 1]
     texture_share: float = 0.0
+    # share of sequences into which things are painted of which each sample draws a material, as of
+    # glass, of models that denoise albedos, [0, 1]
+    mixture_share: float = 0.0
     # share of batches whose patches have 32, 48 or 64 pixels a side, so that pictures are met whose
     # coarser levels have next to no pixels, of models of patches, [0, 1]
     small_share: float = 0.0
@@ -104,7 +107,7 @@ class Training:
             "quiet_power", "average", "still_share", "quiet_share", "drop_feature", "plain_share",
             "shade_share", "paint_share", "firefly_share", "lamp_share", "fresh_share",
             "mean_share", "small_share", "window_share", "shadow_share", "tail_share",
-            "thin_share", "defocus_share", "texture_share",
+            "thin_share", "defocus_share", "texture_share", "mixture_share",
         ):  # fmt: skip
             within(f"training.{key}", getattr(self, key), 0, 1)
         for key in ("steps", "batch", "patch", "frames"):
