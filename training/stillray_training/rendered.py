@@ -22,6 +22,7 @@ from stillray_training.defocus import (
     sample_through_lens,
 )
 from stillray_training.fine_textures import draw_texture
+from stillray_training.glints import draw_glints, glinting_frame, glinting_reference
 from stillray_training.heavy_tail import draw_tail, frame_with, reference_with
 from stillray_training.mixed_materials import draw_mixtures, mixed_frame, mixed_reference
 from stillray_training.small_lamps import draw_lamps, lit_frame, lit_reference
@@ -93,6 +94,7 @@ def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True)
         (3, recipe.shadow_share, _with_shadow),
         (2, recipe.window_share, _with_window),
         (1, recipe.lamp_share, _with_lamps),
+        (9, recipe.glint_share, _with_glints),
         (7, recipe.texture_share, _with_texture),
         (8, recipe.mixture_share, _with_mixtures),
         (6, recipe.defocus_share, _through_lens),
@@ -145,6 +147,15 @@ def _with_lamps(rendered: Rendered, rng: np.random.Generator) -> Rendered:
         rendered,
         lit_reference(rendered.reference, lamps),
         lambda frame, samples: lit_frame(frame, lamps, samples, rng),
+    )
+
+
+def _with_glints(rendered: Rendered, rng: np.random.Generator) -> Rendered:
+    glints = draw_glints(rendered.reference, rendered.spread, rng)
+    return _painted(
+        rendered,
+        glinting_reference(rendered.reference, glints),
+        lambda frame, samples: glinting_frame(frame, glints, samples, rng),
     )
 
 

@@ -61,6 +61,9 @@ class Training:
     mean_share: float = 0.0
     # share of sequences into which small lamps are painted, of models of patches, [0, 1]
     lamp_share: float = 0.0
+    # share of sequences into which glints are painted, lamps that a part of the samples meets, of
+    # models of patches, for frames without a past, [0, 1]
+    glint_share: float = 0.0
     # share of sequences into which a bright window behind thin bars is painted, of models of
     # patches, [0, 1]
     window_share: float = 0.0
@@ -108,6 +111,7 @@ class Training:
             "shade_share", "paint_share", "firefly_share", "lamp_share", "fresh_share",
             "mean_share", "small_share", "window_share", "shadow_share", "tail_share",
             "thin_share", "defocus_share", "texture_share", "mixture_share",
+            "glint_share",
         ):  # fmt: skip
             within(f"training.{key}", getattr(self, key), 0, 1)
         for key in ("steps", "batch", "patch", "frames"):
