@@ -8,7 +8,9 @@ import pytest
 from stillray.arrays.strips import Strips
 from stillray.stages.sample_bounds import bound_by_samples
 
-Z = 1.0
+def errors(count):
+    """Standard errors: 1 of 4 samples and fewer, 2 of 16 and more."""
+    return min(max(np.sqrt(count) / 2, 1.0), 2.0)
 
 
 def oracle(filtered, given, samples):
@@ -23,8 +25,9 @@ def oracle(filtered, given, samples):
         count = float(np.broadcast_to(samples, (height, width))[row, column])
         count = 1.0 if np.isnan(count) else max(count, 1.0)
         share = (given[row, column, channel] - least) / span if span else 0.0
-        middle = (share + Z**2 / (2 * count)) / (1 + Z**2 / count)
-        off = Z / (1 + Z**2 / count) * np.sqrt(share * (1 - share) / count + Z**2 / (4 * count**2))
+        z = errors(count)
+        middle = (share + z**2 / (2 * count)) / (1 + z**2 / count)
+        off = z / (1 + z**2 / count) * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
         lowest, highest = least + span * (middle - off), least + span * (middle + off)
         found[row, column, channel] = np.clip(filtered[row, column, channel], lowest, highest)
     return found
@@ -54,7 +57,7 @@ def test_many_samples_keep_a_joint_of_tiles_and_few_let_it_go(strips):
     given = np.full((24, 24, 3), 0.7, np.float32)
     given[::6] = 0.2
     moved = []
-    for samples in (1, 4, 16, 64, 1024):
+    for samples in (1, 4, 20, 64, 1024):
         filtered = np.full_like(given, 0.6)
         bound_by_samples(filtered, given, samples, strips)
         moved.append(np.abs(filtered - given)[::6].mean())
@@ -70,6 +73,14 @@ def test_true_means_of_few_samples_are_within_bounds(rng, samples, strips):
     mean = np.full_like(given, 0.5)
     bound_by_samples(mean, given, samples, strips)
     assert np.mean(np.abs(mean - 0.5) < 1e-5) > 0.8
+
+
+def test_of_16_samples_more_than_half_of_the_noise_goes(rng, strips):
+    """As of glass, of which a bound of one standard error leaves two thirds."""
+    given = rng.binomial(16, 0.5, (80, 80, 3)).astype(np.float32) / 16
+    mean = np.full_like(given, 0.5)
+    bound_by_samples(mean, given, 16, strips)
+    assert mean.std() < 0.45 * given.std()
 
 
 def test_what_is_no_number_bounds_nothing(rng, strips):

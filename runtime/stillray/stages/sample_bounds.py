@@ -13,7 +13,10 @@ import numpy as np
 from stillray.arrays.strips import Strips, with_halo
 
 _RANGE = 3  # pixels to each side whose values say what samples of a pixel may be
-_DEVIATIONS = 1.0  # standard errors that a mean may be off
+#: Standard errors that a mean may be off, of few samples and of many, and the counts of samples up
+#: to which, and from which on, it is so many: of few a filter takes fine texture for noise, of
+#: many what one error leaves of glass is seen.
+_ERRORS, _COUNTS = (1.0, 2.0), (4.0, 16.0)
 _LEAST = 1e-6  # of a range, which is divided by
 
 
@@ -24,7 +27,8 @@ def bound_by_samples(
 
     A sample is taken for one of the two ends of the range of 7x7 pixels around, as of an edge
     between two surfaces: Wilson 1927 has the interval that the share of one end lies in, also of
-    one sample. Where all is noise of many samples, its range is narrower than theirs and some of
+    one sample. One standard error of 4 samples and fewer, two of 16 and more, and between them as
+    many as keep the interval as wide as that of 4. Where all is noise of many samples, its range is narrower than theirs and some of
     it is kept.
 
     Parameters
@@ -41,7 +45,8 @@ def bound_by_samples(
     height, width = given.shape[:2]
     window = np.ones((2 * _RANGE + 1,) * 2, np.uint8)
     counts = np.maximum(np.nan_to_num(np.asarray(samples, np.float32), nan=1.0), 1)
-    square = np.float32(_DEVIATIONS**2)
+    squares = np.clip(counts * np.float32(_ERRORS[0] ** 2 / _COUNTS[0]), *np.square(_ERRORS))
+    squares = squares.astype(np.float32)
     if np.isnan(given.max()):
         given = np.where(np.isnan(given), filtered, given)
 
@@ -50,11 +55,13 @@ def bound_by_samples(
         least = cv2.erode(given[near], window)[inner]
         span = cv2.dilate(given[near], window)[inner]
         span -= least
-        count = counts[rows, :, None] if counts.ndim else counts
+        count, square = (
+            plane[rows, :, None] if plane.ndim else plane for plane in (counts, squares)
+        )
         share = (given[rows] - least) / np.maximum(span, np.float32(_LEAST))
         middle = (share + square / (2 * count)) * span
         off = np.sqrt(share * (1 - share) / count + square / (4 * count * count))
-        off *= np.float32(_DEVIATIONS) * span
+        off *= np.sqrt(square) * span
         scale = 1 / (1 + square / count)
         bounds = (least + scale * (middle - off), least + scale * (middle + off))
         np.clip(filtered[rows], *bounds, out=filtered[rows])
