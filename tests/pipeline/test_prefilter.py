@@ -159,6 +159,19 @@ def test_stages_say_whether_and_why(rng):
     assert prefilter_stages(frame, find_model("kpyr-5").spec) == []
 
 
+@pytest.mark.parametrize("broken", [np.nan, np.inf, -1.0, 3.0])
+def test_what_is_said_of_a_broken_albedo_is_what_runs(rng, broken):
+    """It is denoised, not repaired: what is denoised is in its range."""
+    frame, _ = out_of_focus(rng, 1)
+    frame.albedo[5, 7] = broken
+    with stillray.Denoiser(MODEL) as denoiser:
+        said = {stage.name for stage in denoiser.stages(frame) if stage.runs}
+        denoiser.denoise(frame)
+        assert said == set(denoiser.last_timings)
+    assert PREFILTER in said
+    assert "repair" not in said
+
+
 def test_tiles_give_what_the_whole_frame_gives(monkeypatch, prefilter, context):
     frame = make_frame(300, 420, 1)
     whole = prefilter.denoised(frame, context, None).albedo

@@ -8,6 +8,7 @@ import pytest
 from stillray.arrays.strips import Strips
 from stillray.stages.sample_bounds import bound_by_samples
 
+
 def errors(count):
     """Standard errors: 1 of 4 samples and fewer, 2 of 16 and more."""
     return min(max(np.sqrt(count) / 2, 1.0), 2.0)

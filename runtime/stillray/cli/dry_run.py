@@ -120,7 +120,7 @@ def _layers(job: ShotFrame, layout: Layout) -> dict[str, Any]:
 def _stages(shot: PlannedShot, frames: Sequence[Sequence[ViewFrame]]) -> list[dict[str, Any]]:
     """Of the last of consecutive frames, in its first view; every view is checked."""
     from stillray.pipeline.plan import Asked, plan_frames
-    from stillray.pipeline.prefilter import prefilter_stages
+    from stillray.pipeline.prefilter import foretold
 
     told = []
     for views in zip(*frames, strict=True):
@@ -130,7 +130,7 @@ def _stages(shot: PlannedShot, frames: Sequence[Sequence[ViewFrame]]) -> list[di
             layers=list(views[-1].lights),
             max_memory=shot.work.memory_of_view,
         )
-        frames_of_view = [view.frame for view in views]
-        first = prefilter_stages(frames_of_view[-1], shot.model.spec)
-        told.append([*first, *plan_frames(frames_of_view, shot.family, asked)[-1].stages])
+        before = [foretold(view.frame, shot.model.spec) for view in views]
+        plans = plan_frames([frame for _, frame in before], shot.family, asked)
+        told.append([*before[-1][0], *plans[-1].stages])
     return [{"name": s.name, "runs": s.runs, "reason": s.reason} for s in told[0]]

@@ -35,7 +35,7 @@ from stillray.pipeline.layers import validated
 from stillray.pipeline.opening import engine_of_model, family_of_model, model_of, network_path
 from stillray.pipeline.output import Target
 from stillray.pipeline.plan import Asked, plan_frame
-from stillray.pipeline.prefilter import PREFILTER, Prefilter, prefilter_stages
+from stillray.pipeline.prefilter import PREFILTER, Prefilter, foretold, prefilter_stages
 from stillray.pipeline.tiles import check_memory
 from stillray.pipeline.turns import Turns
 from stillray.stages.plan import Plan, Stage
@@ -246,7 +246,7 @@ class Denoiser:
         """
         _require_frame(frame)
         with self._turns.take():
-            before = prefilter_stages(frame, self.model.spec)
+            before, frame = foretold(frame, self.model.spec)
             return [*before, *self._plan(frame, layers, Context(strips=self._strips)).stages]
 
     def denoise(

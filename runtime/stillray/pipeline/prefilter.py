@@ -47,6 +47,18 @@ def prefilter_stages(frame: Frame, spec: ModelSpec) -> list[Stage]:
     return [Stage(PREFILTER, True, f"the albedo may have noise: {model}")]
 
 
+def foretold(frame: Frame, spec: ModelSpec) -> tuple[list[Stage], Frame]:
+    """`prefilter_stages`, and a frame by whose values one says what runs after them.
+
+    An albedo that is to be denoised is finite and in [0, 1] there, as it will be.
+    """
+    stages = prefilter_stages(frame, spec)
+    if frame.albedo is not None and any(stage.runs for stage in stages):
+        albedo = np.clip(np.nan_to_num(np.asarray(frame.albedo, np.float32)), 0, 1)
+        frame = replace(frame, albedo=albedo, clean_features=True)
+    return stages, frame
+
+
 def guides_of(frame: Frame, albedo: np.ndarray) -> Frame:
     """The frame that a prefilter denoises: an albedo ``(h, w, 3)`` for color, normal and depth."""
     return replace(

@@ -28,8 +28,8 @@ def bound_by_samples(
     A sample is taken for one of the two ends of the range of 7x7 pixels around, as of an edge
     between two surfaces: Wilson 1927 has the interval that the share of one end lies in, also of
     one sample. One standard error of 4 samples and fewer, two of 16 and more, and between them as
-    many as keep the interval as wide as that of 4. Where all is noise of many samples, its range is narrower than theirs and some of
-    it is kept.
+    many as keep the interval as wide as that of 4. Where all is noise of many samples, its range is
+    narrower than theirs and some of it is kept.
 
     Parameters
     ----------
