@@ -35,6 +35,19 @@ def seen_through(fine: np.ndarray, spread: float | None) -> np.ndarray:
     return cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA)
 
 
+def laid_over(behind: np.ndarray, met: np.ndarray | np.float32, share: np.ndarray) -> np.ndarray:
+    """What a pixel has of what is behind a shape and of the shape itself, float32.
+
+    Parameters
+    ----------
+    behind, met
+        Of the pixels without it, and of it alone.
+    share
+        Of a pixel's samples that meet it, [0, 1].
+    """
+    return np.asarray(behind + share * (met - behind), np.float32)
+
+
 def rectangle(shape: tuple[int, int], middle: Pair, sides: Pair, turned: float) -> np.ndarray:
     """A filled rectangle in ``(h, w)`` pixels, `FINE` points each, float32.
 

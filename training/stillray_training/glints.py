@@ -13,7 +13,7 @@ import numpy as np
 
 from stillray.frame import Frame
 from stillray_training.draws import log_uniform
-from stillray_training.fine_shapes import anywhere, ellipse, rectangle, seen_through
+from stillray_training.fine_shapes import anywhere, ellipse, laid_over, rectangle, seen_through
 from stillray_training.small_lamps import tint_of, usual_light
 
 _MOST = 6  # glints of a picture
@@ -77,7 +77,7 @@ def draw_glints(
 def glinting_reference(reference: np.ndarray, glints: list[Glint]) -> np.ndarray:
     """A reference ``(h, w, 3)`` with glints in it, float32."""
     for glint in glints:
-        reference = _mixed(reference, glint.radiance, glint.chance)
+        reference = laid_over(reference, glint.radiance, glint.chance[..., None])
     return reference
 
 
@@ -100,12 +100,7 @@ def glinting_frame(
     assert frame.albedo is not None
     color, albedo, count = frame.color, frame.albedo, max(round(samples), 1)
     for glint in glints:
-        share = (rng.binomial(count, glint.chance) / count).astype(np.float32)
-        color = _mixed(color, glint.radiance, share)
-        albedo = _mixed(albedo, glint.albedo, share)
+        met = rng.binomial(count, glint.chance[..., None]) / count
+        color = laid_over(color, glint.radiance, met)
+        albedo = laid_over(albedo, glint.albedo, met)
     return replace(frame, color=color, albedo=albedo)
-
-
-def _mixed(behind: np.ndarray, light: np.ndarray, share: np.ndarray) -> np.ndarray:
-    met = share[..., None]
-    return np.asarray(behind + met * (light - behind), np.float32)

@@ -13,7 +13,7 @@ import numpy as np
 
 from stillray.frame import Frame
 from stillray_training.draws import log_uniform
-from stillray_training.fine_shapes import anywhere, ellipse, rectangle, seen_through
+from stillray_training.fine_shapes import anywhere, ellipse, laid_over, rectangle, seen_through
 
 _MOST = 4  # things of a picture that are of such materials
 _EDGES = (4.0, 96.0)  # pixels, of a thing
@@ -87,7 +87,7 @@ def draw_mixtures(
 def mixed_reference(reference: np.ndarray, mixtures: list[Mixture]) -> np.ndarray:
     """What an albedo ``(h, w, 3)`` becomes of endlessly many samples, [0, 1] float32."""
     for mixture in mixtures:
-        reference = _mixed(reference, mixture.albedo, mixture.share)
+        reference = laid_over(reference, mixture.albedo, mixture.share[..., None])
     return np.clip(reference, 0, 1).astype(np.float32)
 
 
@@ -109,8 +109,8 @@ def mixed_frame(
     """
     albedo, count = frame.color, max(round(samples), 1)
     for mixture in mixtures:
-        met = (rng.binomial(count, mixture.share) / count).astype(np.float32)
-        albedo = _mixed(albedo, mixture.albedo, met)
+        met = rng.binomial(count, mixture.share[..., None]) / count
+        albedo = laid_over(albedo, mixture.albedo, met)
     return replace(frame, color=np.clip(albedo, 0, 1).astype(np.float32))
 
 
@@ -136,9 +136,3 @@ def _seen(reference: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         return np.broadcast_to(rng.random(3).astype(np.float32), reference.shape)
     moved = np.roll(reference[:, ::-1], tuple(rng.integers(0, reference.shape[:2])), (0, 1))
     return np.ascontiguousarray(moved, np.float32)
-
-
-def _mixed(albedo: np.ndarray, other: np.ndarray, share: np.ndarray) -> np.ndarray:
-    met = share[..., None]
-    mixed: np.ndarray = albedo + met * (other - albedo)
-    return mixed

@@ -14,7 +14,7 @@ import numpy as np
 
 from stillray.frame import Frame
 from stillray_training.draws import log_uniform
-from stillray_training.fine_shapes import anywhere, ellipse, rectangle, seen_through
+from stillray_training.fine_shapes import anywhere, ellipse, laid_over, rectangle, seen_through
 
 _MOST = 3  # lamps of a picture
 _HALF_EDGES = (0.7, 6.0)  # pixels, from the middle of a lamp to its edge
@@ -106,7 +106,7 @@ def _coverage(shape: tuple[int, int], spread: float | None, rng: np.random.Gener
 def lit_reference(reference: np.ndarray, lamps: Sequence[Lamp]) -> np.ndarray:
     """A reference ``(h, w, 3)`` with lamps in it, float32."""
     for lamp in lamps:
-        reference = _mixed(reference, lamp.radiance, lamp.coverage[..., None])
+        reference = laid_over(reference, lamp.radiance, lamp.coverage[..., None])
     return reference
 
 
@@ -136,18 +136,14 @@ def lit_frame(
         share = (rng.binomial(count, lamp.coverage) / count).astype(np.float32)
         met = share[..., None]
         # a broken sample stays one, but where the lamp alone is seen
-        color = np.where(met == 1, lamp.radiance, _mixed(color, lamp.radiance, met))
-        albedo = _mixed(albedo, lamp.albedo, met)
-        normal = _mixed(normal, lamp.normal, met)
+        color = np.where(met == 1, lamp.radiance, laid_over(color, lamp.radiance, met))
+        albedo = laid_over(albedo, lamp.albedo, met)
+        normal = laid_over(normal, lamp.normal, met)
         if lamp.distance:
             near = np.float32(lamp.distance)
-            depth = np.where((depth > 0) | (share == 0), _mixed(depth, near, share), near)
+            depth = np.where((depth > 0) | (share == 0), laid_over(depth, near, share), near)
         else:
             depth = np.where(share == 1, np.float32(0), depth)
         if motion is not None:
             motion = np.where(met > 0.5, np.float32(0), motion)
     return replace(frame, color=color, albedo=albedo, normal=normal, depth=depth, motion=motion)
-
-
-def _mixed(behind: np.ndarray, light: np.ndarray | np.float32, share: np.ndarray) -> np.ndarray:
-    return np.asarray(behind + share * (light - behind), np.float32)
