@@ -644,3 +644,12 @@ def test_a_reference_with_albedo_is_what_albedo_is_to_become(blocks, small):
     recipe = dataclasses.replace(small.training, layer="albedo", alone=True)
     examples = load_examples(blocks, dataclasses.replace(small, training=recipe), Strips(1))
     np.testing.assert_allclose(examples[0].reference, sure, rtol=1e-3)
+
+
+def test_an_albedo_has_a_target_of_its_own(blocks, small):
+    color = clean_color(40, 48)
+    for name, albedo in (("ref_0002.exr", 0.25), ("target_0002.exr", 0.5)):
+        write(blocks / name, {"color": color, "albedo": np.full_like(color, albedo)})
+    recipe = dataclasses.replace(small.training, layer="albedo", alone=True)
+    examples = load_examples(blocks, dataclasses.replace(small, training=recipe), Strips(1))
+    np.testing.assert_allclose(examples[0].reference, 0.5, rtol=1e-3)

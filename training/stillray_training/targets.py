@@ -102,9 +102,10 @@ def _write_target(path: Path, reference: Frame) -> float:
     """Brightness of what a reference becomes over its own, minus 1, tone-mapped."""
     # features that are taken for clean as they are leave their own noise in the picture
     network = PrefilteredOpenImageDenoise("high")
-    layers = {"color": network.denoise(reference)}
-    if reference.albedo is not None:
-        layers["albedo"] = np.clip(network.prefiltered("albedo", reference.albedo), 0, 1)
+    clean = network.prefiltered(reference)
+    layers = {"color": network.denoise(clean)}
+    if clean.albedo is not None:
+        layers["albedo"] = np.clip(clean.albedo, 0, 1)
     write(path, layers)
     exposure = display_exposure(reference.color)
     ours, theirs = (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from stillray.frame import Frame
@@ -79,16 +81,28 @@ class PrefilteredOpenImageDenoise:
         self._device.commit()
 
     def denoise(self, frame: Frame) -> np.ndarray:
-        """Denoise a frame: radiance ``(h, w, 3)``."""
-        albedo, normal = (
-            None if plane is None else self.prefiltered(name, plane)
-            for name, plane in (("albedo", frame.albedo), ("normal", frame.normal))
+        """Denoise a frame: radiance ``(h, w, 3)``; features that are clean stay as they are."""
+        frame = self.prefiltered(frame)
+        return open_image_denoise(
+            frame.color,
+            frame.albedo,
+            frame.normal,
+            self.quality,
+            clean_features=frame.clean_features,
         )
-        clean = albedo is not None or normal is not None
-        return open_image_denoise(frame.color, albedo, normal, self.quality, clean_features=clean)
 
-    def prefiltered(self, name: str, plane: np.ndarray) -> np.ndarray:
-        """An ``"albedo"`` or a ``"normal"``, ``(h, w, 3)`` float32, denoised by its own network."""
+    def prefiltered(self, frame: Frame) -> Frame:
+        """A frame whose albedo and normal, where it has them, are denoised."""
+        if frame.clean_features:
+            return frame
+        clean = {
+            name: self._filtered(name, plane)
+            for name, plane in (("albedo", frame.albedo), ("normal", frame.normal))
+            if plane is not None
+        }
+        return replace(frame, **clean, clean_features=bool(clean))  # type: ignore[arg-type]
+
+    def _filtered(self, name: str, plane: np.ndarray) -> np.ndarray:
         import pyoidn
 
         given, made = np.ascontiguousarray(plane, np.float32), np.empty(plane.shape, np.float32)
