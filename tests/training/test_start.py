@@ -82,6 +82,32 @@ def test_a_packaged_model_starts_one_with_more_blocks_and_filters():
     torch.testing.assert_close(finest[:, wanted.shape[1] :], like)
 
 
+@pytest.mark.parametrize("name", ["kpyr-5", "kpyr-5s", "kpyr-5-still"])
+def test_a_packaged_model_starts_a_wider_one(name):
+    """It gives the same pictures, and what is new can be learned from: its gradients are not 0."""
+    info = find_model(name)
+    narrow = info.spec.network
+    widths = (narrow.widths[0], *(width + 8 * at for at, width in enumerate(narrow.widths[1:], 1)))
+    spec = dataclasses.replace(info.spec, network=dataclasses.replace(narrow, widths=widths))
+    first, second = (network_of(each) for each in (info.spec, spec))
+    start_from(name, first, info.spec)
+    start_from(name, second, spec)
+    features = torch.rand(1, len(narrow.features), 32, 48)
+    pictures = second(features)
+    for found, wanted in zip(pictures, first(features), strict=True):
+        torch.testing.assert_close(found, wanted, rtol=1e-4, atol=1e-4)  # sums in another order
+    sum(logits.square().mean() for logits in pictures).backward()
+    read = second.enter[2].weight.grad[: narrow.widths[2], narrow.widths[1] :]
+    assert read.abs().amax(dim=(0, 2, 3)).median() > 0  # a ReLU may close a random one
+    with pytest.raises(InputError, match=f"start must have weights that fit {name}"):
+        start_from(name, network_of(_narrower(spec)), _narrower(spec))
+
+
+def _narrower(spec):
+    widths = tuple(width // 2 for width in spec.network.widths)
+    return dataclasses.replace(spec, network=dataclasses.replace(spec.network, widths=widths))
+
+
 @pytest.mark.parametrize(("name", "pixels"), [("kpyr-5", 1), ("kpyr-5s", 4)])
 def test_a_packaged_model_starts_one_with_other_logits_by_what_they_are_for(name, pixels):
     """Logits of the finest level lie elsewhere where it has kernels, and neighbours before them."""

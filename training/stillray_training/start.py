@@ -164,13 +164,14 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
     Parameters
     ----------
     source
-        See `read_start`. A model of the same family and widths; it may have read other features,
-        which are matched by name (those that it did not read begin with weights of 0), have given
-        other logits (those of a kernel pyramid are matched by what they are for, those of a filter
-        that is new begin near those of the next, of other families new ones are appended), fewer
-        blocks of a width that an identity spans (new ones begin as that identity), and fewer layers
-        in its dense block (what new ones add begins with weights of 0). Where the first block has
-        an identity, features stay in their places.
+        See `read_start`. A model of the same family and widths, or of a kernel pyramid of lesser
+        ones (the planes that are new begin at random, and unread by the others); it may have read
+        other features, which are matched by name (those that it did not read begin with weights of
+        0), have given other logits (those of a kernel pyramid are matched by what they are for,
+        those of a filter that is new begin near those of the next, of other families new ones are
+        appended), fewer blocks of a width that an identity spans (new ones begin as that identity),
+        and fewer layers in its dense block (what new ones add begins with weights of 0). Where the
+        first block has an identity, features stay in their places.
     network, spec
         What is to be trained.
 
@@ -187,6 +188,7 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
     start = read_start(source)
     features = start.features
     heads = getattr(network, "planes", {})
+    appended: Mapping[str, int] | None = getattr(network, "appended", None)
     state = network.state_dict()
     reads_features = str(getattr(network, "reads_features", ""))
     if features != spec.network.features and not _matches_features(network, reads_features):
@@ -196,6 +198,8 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
         )
     for name, given in start.weights.items():
         value, target = given, state.get(name, torch.empty(0))
+        if appended is not None and not name.startswith(reads_features):
+            value = _among_wider(value, target, appended, name)
         head = name.rpartition(".")[0]
         if head in heads and head in start.planes and value.shape[1:] == target.shape[1:]:
             ours, theirs = heads[head], start.planes[head]
@@ -232,6 +236,28 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
                     state[part].zero_()
     network.load_state_dict(state)
     return start.origin
+
+
+def _among_wider(value: Tensor, target: Tensor, appended: Mapping[str, int], name: str) -> Tensor:
+    """A convolution that reads more planes than it did: those that are new weigh 0.
+
+    Parameters
+    ----------
+    value, target
+        Kernels ``(out, in, k, k)``, as they were and of the shape that is asked for; anything else
+        is given back as it is.
+    appended
+        Of how many maps of planes the input consists, by the beginning of the name; one otherwise.
+    name
+        Of the kernels.
+    """
+    if value.ndim != 4 or value.shape[2:] != target.shape[2:]:
+        return value
+    maps = next((count for begins, count in appended.items() if name.startswith(begins)), 1)
+    more = (target.shape[1] - value.shape[1]) // maps
+    if more <= 0:
+        return value
+    return F.pad(value.unflatten(1, (maps, -1)), (0, 0, 0, 0, 0, more)).flatten(1, 2)
 
 
 def _filter_like(use: str, known: list[str]) -> tuple[str | None, float]:
