@@ -40,7 +40,7 @@ from stillray_training.film import (
     widened,
 )
 from stillray_training.quiet import fireflies, quiet_frame, uneven_frame
-from stillray_training.rendered import Rendered, read_rendered
+from stillray_training.rendered import Rendered, numbered, read_rendered
 from stillray_training.shade import moving_shade
 from stillray_training.simulate.sequence import is_complete
 
@@ -80,7 +80,7 @@ class Example:
     reference: np.ndarray  # (h, w, 3) radiance
     spp: float = 1.0  # samples a pixel of each frame
     kind: str = NOISY  # or STILL or QUIET
-    sequence: str = ""  # name of its folder
+    sequence: Path = Path()  # its folder
     frames: int = 1  # accumulated
     rendered_spread: float | None = None  # of the render's pixel filter, pixels; None: not known
     film_variance: float = 0.0  # what a wider film added to that, square pixels
@@ -156,20 +156,33 @@ class Runtime:
         )
 
 
-def load_examples(sequence: Path, spec: ModelSpec, strips: Strips) -> list[Example]:
+def load_examples(sequence: Path, spec: ModelSpec, strips: Strips, draw: int = 0) -> list[Example]:
     """The last frame of a sequence, accumulated from each of the starting frames; then others.
+
+    Parameters
+    ----------
+    sequence
+        Its folder.
+    spec
+        Of the model that is to learn from them.
+    strips
+        Where the work runs.
+    draw
+        Another number: other blocks, counts and paintings of the same sequence, as many and of the
+        same kinds.
 
     Raises
     ------
     InputError
         The sequence lacks its frames or its reference.
     """
-    rendered = read_rendered(sequence, spec.training)
+    rendered = read_rendered(sequence, spec.training, draw=draw)
     # of its own for every sequence, the same every time
-    rng = np.random.default_rng([spec.training.seed, zlib.crc32(sequence.name.encode())])
+    name = zlib.crc32(sequence.name.encode())
+    rng = np.random.default_rng([spec.training.seed, name, *numbered(draw)])
     with closing(Runtime(spec, strips)) as runtime:
         return [
-            replace(example, sequence=sequence.name, rendered_spread=rendered.spread)
+            replace(example, sequence=sequence, rendered_spread=rendered.spread)
             for example in _all_examples(rendered, runtime, rng)
         ]
 

@@ -45,6 +45,7 @@ from stillray_training.machine import Batches, Machine
 from stillray_training.networks.fuse import fuse
 from stillray_training.onnx_graph import network_graph
 from stillray_training.patches import Batch, PatchSampler
+from stillray_training.redrawn import Redrawn, draw_of
 from stillray_training.run import Run, progress_bar, sequences_in
 
 PREVIOUS = "previous.onnx"  # the model whose outputs are the previous ones of a recurrence
@@ -149,12 +150,16 @@ def train(
         run.start_from(start)
     with progress_bar() as progress:
         # a list of its own: previous outputs are this model's
-        examples = list(examples) or load_all(data, spec, progress, machine)
+        examples = list(examples) or load_all(data, spec, progress, machine, run.step)
         past = _Past(examples, sequences, out / PREVIOUS, machine)
         resumed = recipe.history_from and run.step > recipe.history_from
         if resumed and (run.step - recipe.history_from) % recipe.history_every:
             past.refresh(progress)
-        sampler = PatchSampler(examples, spec)
+        redrawn = None
+        if recipe.redraw_every:
+            load = partial(_redraw, spec=spec)
+            redrawn = Redrawn(examples, recipe.redraw_every, load, run.step)
+        sampler = PatchSampler(examples, spec, redrawn)
         batches = Batches(lambda step: vars(sampler.batch(step)), recipe.steps, machine)
 
         def renew(step: int) -> None:
@@ -173,9 +178,13 @@ def train(
 
 
 def load_all(
-    data: list[Path], spec: ModelSpec, progress: Progress, machine: Machine | None = None
+    data: list[Path],
+    spec: ModelSpec,
+    progress: Progress,
+    machine: Machine | None = None,
+    step: int = 0,
 ) -> list[Example]:
-    """The examples of all sequences of some folders.
+    """The examples of all sequences of some folders, as they are drawn at a step.
 
     Raises
     ------
@@ -186,11 +195,17 @@ def load_all(
     once = list(dict.fromkeys(sequences))  # what is named twice takes memory once
     loading = progress.add_task("load", total=len(once))
     loaded: dict[Path, list[Example]] = {}
-    made = (machine or Machine()).made(partial(load_examples, spec=spec, strips=Strips(1)), once)
+    every = spec.training.redraw_every
+    drawn = [(path, draw_of(turn, step, every, len(once))) for turn, path in enumerate(once)]
+    made = (machine or Machine()).made(lambda each: _redraw(*each, spec=spec), drawn)
     for sequence, examples in zip(once, made, strict=True):
         loaded[sequence] = examples
         progress.advance(loading)
     return [example for sequence in sequences for example in loaded[sequence]]
+
+
+def _redraw(sequence: Path, draw: int, *, spec: ModelSpec) -> list[Example]:
+    return load_examples(sequence, spec, Strips(1), draw)
 
 
 def _export_for_previous_output(network: nn.Module, spec: ModelSpec, path: Path) -> None:
@@ -223,7 +238,7 @@ class _Past:
     ) -> None:
         self._examples, self._model, self._machine = examples, model, machine
         self._once = list(dict.fromkeys(sequences))  # data may be named twice, to count twice
-        self._places: dict[tuple[str, int], list[int]] = {}
+        self._places: dict[tuple[Path, int], list[int]] = {}
         for index, example in enumerate(examples):
             if example.kind == NOISY:
                 self._places.setdefault((example.sequence, example.frames), []).append(index)
@@ -236,7 +251,7 @@ class _Past:
         for part, of_part in zip(parts, self._machine.made(self._remembered, parts), strict=True):
             for sequence, of_sequence in zip(part, of_part, strict=True):
                 for frames, found in of_sequence.items():
-                    for at in self._places[sequence.name, frames]:
+                    for at in self._places[sequence, frames]:
                         self._examples[at] = dataclasses.replace(
                             self._examples[at], **found._asdict()
                         )

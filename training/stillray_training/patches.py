@@ -11,6 +11,7 @@ from stillray.model_spec import ModelSpec
 from stillray.model_spec.planes import PIXEL_FILTER
 from stillray.stages import features as encode
 from stillray_training.examples import NOISY, QUIET, STILL, Example
+from stillray_training.redrawn import Redrawn
 
 _SAMPLES_KNOWN = 0.5  # share of patches whose frames say how many samples they have
 _FILTER_KNOWN = 0.6  # and, to networks that ask, what pixel filter they have
@@ -48,6 +49,8 @@ class PatchSampler:
         What to draw from; may be replaced one by one between batches.
     spec
         The model's specification.
+    redrawn
+        The same examples, where they change with the steps.
 
     Raises
     ------
@@ -55,7 +58,9 @@ class PatchSampler:
         An example is smaller than a patch.
     """
 
-    def __init__(self, examples: list[Example], spec: ModelSpec) -> None:
+    def __init__(
+        self, examples: list[Example], spec: ModelSpec, redrawn: Redrawn | None = None
+    ) -> None:
         size = spec.training.patch
         for one in examples:
             if min(one.reference.shape[:2]) < size:
@@ -64,7 +69,7 @@ class PatchSampler:
                     f"patch, got {one.reference.shape[:2]}"
                 )
         # places, not examples: those are replaced when previous outputs are renewed
-        self._examples = examples
+        self._examples, self._redrawn = examples, redrawn
         self._places: dict[str, list[int]] = {}
         for place, one in enumerate(examples):
             self._places.setdefault(one.kind, []).append(place)
@@ -77,29 +82,30 @@ class PatchSampler:
         size = recipe.patch
         if recipe.small_share and rng.random() < recipe.small_share:
             size = min(size, int(rng.choice(SMALL)))
-        patches = [self._patch(size, rng) for _ in range(recipe.batch)]
+        patches = [self._patch(size, step, rng) for _ in range(recipe.batch)]
         return Batch(**{name: np.stack([patch[name] for patch in patches]) for name in patches[0]})
 
-    def _patch(self, size: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    def _patch(self, size: int, step: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
         recipe = self._spec.training
         drawn = rng.random()
         kind = QUIET if drawn < recipe.quiet_share else NOISY
         if recipe.quiet_share <= drawn < recipe.quiet_share + recipe.still_share:
             kind = STILL
         places = self._places.get(kind) or self._places[NOISY]
-        example, window, edges = self._window(places, size, rng)
+        example, window, edges = self._window(places, size, step, rng)
         if rng.random() < BUSIER:
-            other, elsewhere, more = self._window(places, size, rng)
+            other, elsewhere, more = self._window(places, size, step, rng)
             if more > edges:
                 example, window = other, elsewhere
         return self._augment(example, window, rng)
 
     def _window(
-        self, places: list[int], size: int, rng: np.random.Generator
+        self, places: list[int], size: int, step: int, rng: np.random.Generator
     ) -> tuple[Example, tuple[slice, slice], float]:
         """A patch of one of some examples, in which there is something to learn, and its edges."""
         for _ in range(8):
-            example = self._examples[places[rng.integers(len(places))]]
+            place = places[rng.integers(len(places))]
+            example = self._redrawn.at(place, step) if self._redrawn else self._examples[place]
             height, width = example.reference.shape[:2]
             top, left = (_offset(rng, length - size) for length in (height, width))
             window = (slice(top, top + size), slice(left, left + size))

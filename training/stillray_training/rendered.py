@@ -66,10 +66,18 @@ class Rendered:
         return depth
 
 
-def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True) -> Rendered:
+def numbered(draw: int) -> tuple[int, ...]:
+    """What of a drawing's number goes into seeds: nothing of the first one's."""
+    return (draw,) if draw else ()
+
+
+def read_rendered(
+    sequence: Path, recipe: Training, *, with_blocks: bool = True, draw: int = 0
+) -> Rendered:
     """Read a sequence, and paint into it what a recipe asks for in some share of sequences.
 
-    The same sequence and seed give the same ones every time, with further blocks and without.
+    The same sequence, seed and drawing give the same ones every time, with further blocks and
+    without.
 
     Raises
     ------
@@ -99,7 +107,7 @@ def read_rendered(sequence: Path, recipe: Training, *, with_blocks: bool = True)
         (8, recipe.mixture_share, _with_mixtures),
         (6, recipe.defocus_share, _through_lens),
     ):
-        rng = np.random.default_rng([recipe.seed, name, own])
+        rng = np.random.default_rng([recipe.seed, name, own, *numbered(draw)])
         if rng.random() < share:
             rendered = paint(rendered, rng)
     return rendered

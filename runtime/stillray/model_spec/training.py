@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stillray.errors import InputError
 from stillray.model_spec.rules import one_of, within
 
 OPTIMISERS = ("adam", "muon")
@@ -88,6 +89,9 @@ class Training:
     # share of batches whose patches have 32, 48 or 64 pixels a side, so that pictures are met whose
     # coarser levels have next to no pixels, of models of patches, [0, 1]
     small_share: float = 0.0
+    # steps after which one more sequence is drawn anew (its blocks, counts and what is painted into
+    # it), of models of patches without a past; 0: none is
+    redraw_every: int = 0
     frames: int = 1  # that a recurrent model is unrolled over
     warm_frames: int = 0  # most frames before those, which are run and not learned from
     fresh_share: float = 0.0  # share of batches that have none of those, [0, 1]
@@ -116,8 +120,14 @@ class Training:
             within(f"training.{key}", getattr(self, key), 0, 1)
         for key in ("steps", "batch", "patch", "frames"):
             within(f"training.{key}", getattr(self, key), 1, _MAX_COUNT)
-        for key in ("history_from", "history_every", "seed", "warm_frames"):
+        for key in ("history_from", "history_every", "seed", "warm_frames", "redraw_every"):
             within(f"training.{key}", getattr(self, key), 0, _MAX_COUNT)
+        if self.redraw_every and self.history_from:
+            raise InputError(
+                "training.redraw_every must be 0 where previous outputs are given, whose frames "
+                f"stay as they are (training.history_from {self.history_from}), "
+                f"got {self.redraw_every}"
+            )
         one_of("training.optimiser", self.optimiser, OPTIMISERS)
         one_of("training.layer", self.layer, LAYERS)
         within("training.learning_rate", self.learning_rate, 1e-12, 1e3)

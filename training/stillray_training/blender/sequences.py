@@ -25,7 +25,9 @@ from stillray_training.blender.relief import emboss_all
 from stillray_training.blender.slender import scatter
 
 FRAMES = 8
-BLOCKS = (1, 2, 4, 8, 16)  # samples a pixel of the blocks beside the last frame
+#: Samples a pixel of the blocks beside the last frame: many of few, since networks learn the noise
+#: of those few frames by heart that can be made of few blocks.
+BLOCKS = (1, 2, 4, 8, 16, 1, 1, 1, 2, 2, 4, 8)
 _BLOCK_SEED, _REFERENCE_SEED = 100, 1000  # no two files share their noise
 _ROOMS = 0.5  # share of the scenes that are rooms
 _PANELLED = 0.4  # and of those, of rooms full of painted joinery
