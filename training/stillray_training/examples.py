@@ -81,6 +81,7 @@ class Example:
     spp: float = 1.0  # samples a pixel of each frame
     kind: str = NOISY  # or STILL or QUIET
     sequence: Path = Path()  # its folder
+    draw: int = 0  # which drawing of the sequence it is of, see `load_examples`
     frames: int = 1  # accumulated
     rendered_spread: float | None = None  # of the render's pixel filter, pixels; None: not known
     film_variance: float = 0.0  # what a wider film added to that, square pixels
@@ -182,7 +183,7 @@ def load_examples(sequence: Path, spec: ModelSpec, strips: Strips, draw: int = 0
     rng = np.random.default_rng([spec.training.seed, name, *numbered(draw)])
     with closing(Runtime(spec, strips)) as runtime:
         return [
-            replace(example, sequence=sequence, rendered_spread=rendered.spread)
+            replace(example, sequence=sequence, draw=draw, rendered_spread=rendered.spread)
             for example in _all_examples(rendered, runtime, rng)
         ]
 

@@ -158,7 +158,7 @@ def train(
         redrawn = None
         if recipe.redraw_every:
             load = partial(_redraw, spec=spec)
-            redrawn = Redrawn(examples, recipe.redraw_every, load, run.step)
+            redrawn = Redrawn(examples, recipe.redraw_every, load)
         sampler = PatchSampler(examples, spec, redrawn)
         batches = Batches(lambda step: vars(sampler.batch(step)), recipe.steps, machine)
 

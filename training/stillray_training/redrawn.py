@@ -43,14 +43,12 @@ class Redrawn:
     Parameters
     ----------
     examples
-        Of the first drawing, or of any other; replaced in place.
+        Of whichever drawing; replaced in place.
     every
         See `draw_of`.
     load
         The examples of a sequence's folder and a drawing: as many as there are of it here, of the
         same kinds in the same order.
-    step
-        That the examples are of.
     """
 
     def __init__(
@@ -58,14 +56,12 @@ class Redrawn:
         examples: list[Example],
         every: int,
         load: Callable[[Path, int], list[Example]],
-        step: int = 0,
     ) -> None:
         self._examples, self._every, self._load = examples, every, load
         self._places: dict[Path, list[int]] = {}
         for place, example in enumerate(examples):
             self._places.setdefault(example.sequence, []).append(place)
         self._turns = {path: turn for turn, path in enumerate(self._places)}
-        self._held = {path: self._draw(path, step) for path in self._places}
 
     def at(self, place: int, step: int) -> Example:
         """An example as a step sees it.
@@ -76,13 +72,10 @@ class Redrawn:
             Its sequence's examples are no longer as many or of the same kinds: its files changed.
         """
         path = self._examples[place].sequence
-        draw = self._draw(path, step)
-        if draw != self._held[path]:
+        draw = draw_of(self._turns[path], step, self._every, len(self._turns))
+        if draw != self._examples[place].draw:
             self._replace(path, draw)
         return self._examples[place]
-
-    def _draw(self, path: Path, step: int) -> int:
-        return draw_of(self._turns[path], step, self._every, len(self._turns))
 
     def _replace(self, path: Path, draw: int) -> None:
         fresh, places = self._load(path, draw), self._places[path]
@@ -92,4 +85,3 @@ class Redrawn:
             raise InputError(f"{path}: must stay as it is while a training reads it")
         for place, example in zip(places, again, strict=True):
             self._examples[place] = example
-        self._held[path] = draw

@@ -188,7 +188,7 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
     start = read_start(source)
     features = start.features
     heads = getattr(network, "planes", {})
-    appended: Mapping[str, int] | None = getattr(network, "appended", None)
+    reads_more: Mapping[str, int] = getattr(network, "reads_more", {})
     state = network.state_dict()
     reads_features = str(getattr(network, "reads_features", ""))
     if features != spec.network.features and not _matches_features(network, reads_features):
@@ -198,8 +198,8 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
         )
     for name, given in start.weights.items():
         value, target = given, state.get(name, torch.empty(0))
-        if appended is not None and not name.startswith(reads_features):
-            value = _among_wider(value, target, appended, name)
+        if not (reads_features and name.startswith(reads_features)):
+            value = _among_more(value, target, reads_more, name)
         head = name.rpartition(".")[0]
         if head in heads and head in start.planes and value.shape[1:] == target.shape[1:]:
             ours, theirs = heads[head], start.planes[head]
@@ -220,9 +220,6 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
                 matched = value.unflatten(1, (len(features), each))[:, read]
                 matched[:, [index < 0 for index in read]] = 0
                 value = matched.flatten(1, 2)
-        if fits and value.ndim == 4 and name.startswith(getattr(network, "reads_added", " ")):
-            added = max(target.shape[1] - value.shape[1], 0)
-            value = F.pad(value, (0, 0, 0, 0, 0, added))
         if not fits or value.shape[1:] != target.shape[1:]:
             raise InputError(
                 f"start must have weights that fit {spec.name}, {source} does not: {name}"
@@ -238,7 +235,7 @@ def start_from(source: str | Path, network: nn.Module, spec: ModelSpec) -> dict[
     return start.origin
 
 
-def _among_wider(value: Tensor, target: Tensor, appended: Mapping[str, int], name: str) -> Tensor:
+def _among_more(value: Tensor, target: Tensor, reads_more: Mapping[str, int], name: str) -> Tensor:
     """A convolution that reads more planes than it did: those that are new weigh 0.
 
     Parameters
@@ -246,15 +243,15 @@ def _among_wider(value: Tensor, target: Tensor, appended: Mapping[str, int], nam
     value, target
         Kernels ``(out, in, k, k)``, as they were and of the shape that is asked for; anything else
         is given back as it is.
-    appended
-        Of how many maps of planes the input consists, by the beginning of the name; one otherwise.
+    reads_more
+        Which may, by the beginning of the name, and how many maps of planes they read as one.
     name
         Of the kernels.
     """
     if value.ndim != 4 or value.shape[2:] != target.shape[2:]:
         return value
-    maps = next((count for begins, count in appended.items() if name.startswith(begins)), 1)
-    more = (target.shape[1] - value.shape[1]) // maps
+    maps = next((count for begins, count in reads_more.items() if name.startswith(begins)), 0)
+    more = (target.shape[1] - value.shape[1]) // maps if maps else 0
     if more <= 0:
         return value
     return F.pad(value.unflatten(1, (maps, -1)), (0, 0, 0, 0, 0, more)).flatten(1, 2)

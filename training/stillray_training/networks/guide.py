@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import torch
 from torch import Tensor, nn
 
@@ -25,7 +27,7 @@ class GuideNet(nn.Module):
     #: Beginning of the names of the weights that meet the features.
     reads_features = "enter."
     #: Of the weights that meet what the dense block adds, behind what was there without it.
-    reads_added = "leave."
+    reads_more: ClassVar[dict[str, int]] = {"leave.": 1}
 
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__()

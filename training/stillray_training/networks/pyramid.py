@@ -43,8 +43,9 @@ class PyramidNet(nn.Module):
     reads_features = "enter.0."
     #: What the planes of its heads are for, by the names of the heads, where that is told.
     planes: dict[str, list[str]]
-    #: Beginnings of the names of the weights that read several maps of planes as one, and how many.
-    appended: dict[str, int]
+    #: Beginnings of the names of the weights that read more planes in a wider network, the first
+    #: that fits, and how many maps of planes they read as one.
+    reads_more: dict[str, int]
 
     def __init__(self, network: PyramidNetwork, logits: Sequence[int]) -> None:
         super().__init__()
@@ -100,9 +101,9 @@ class PyramidNet(nn.Module):
         )
         self.block, self.planes = block, {}
         self.concatenate = network.concatenate
-        self.appended = {
+        self.reads_more = {
             f"decode.{level}.0.": 2 for level in range(levels - 1) if network.concatenate[level]
-        }
+        } | {"": 1}
 
     def forward(self, features_nchw: Tensor) -> tuple[Tensor, ...]:
         """``(n, features, h, w)`` to one map a resolution; sizes as `kernel_pyramid.alignment`."""
