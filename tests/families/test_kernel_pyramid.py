@@ -123,6 +123,21 @@ def test_filters_of_the_finest_level_equal_the_loop_oracle(height, width, distan
         np.testing.assert_allclose(got, expected, rtol=5e-6)
 
 
+@pytest.mark.parametrize("finest", [(), (2, 1)])
+@pytest.mark.parametrize("coarser", [((2, 1),), ((), (4, 2, 1)), ((1,), (9,))])
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 1), (9, 14), (41, 18)])
+def test_filters_of_coarser_levels_equal_the_loop_oracle(height, width, coarser, finest):
+    options = dataclasses.replace(
+        OPTIONS, predicted=True, finest_filters=finest, filter_features=2,
+        filter_tone=0.3, coarser_filters=coarser,
+    )  # fmt: skip
+    inputs = draw(height, width, options=options)
+    expected = oracles.kernel_pyramid(*inputs, options, 0.4)
+    for strips in (Strips(1), Strips(3), Strips(1, pixels=64)):
+        got = filtered(*inputs, options, strips, 0.4)
+        np.testing.assert_allclose(got, expected, rtol=5e-6)
+
+
 @pytest.mark.parametrize("distances", [(1,), (4, 2), (30, 3, 1)])
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 1), (9, 14), (41, 18)])
 def test_an_averaged_albedo_equals_the_loop_oracle(height, width, distances):

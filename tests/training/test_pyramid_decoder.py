@@ -30,15 +30,19 @@ def _nchw(image):
 @pytest.mark.parametrize("predicted", [True, False])
 @pytest.mark.parametrize("distances", [(), (1, 2)])
 @pytest.mark.parametrize(("filters", "tone"), [((), 0.0), ((4, 1), 0.0), ((4, 1), 0.5)])
+@pytest.mark.parametrize("coarser", [(), ((2, 1), (), (1,))])
 @pytest.mark.parametrize("averages", [(), (4, 2)])
-def test_the_twin_equals_the_runtime(finest, predicted, distances, filters, tone, averages):
+def test_the_twin_equals_the_runtime(
+    finest, predicted, distances, filters, tone, coarser, averages
+):
     options = dataclasses.replace(
         OPTIONS,
         finest_kernels=finest,
         predicted=predicted,
         finest_neighbours=distances,
         finest_filters=filters,
-        filter_features=3 * bool(filters),
+        filter_features=3 * bool(filters or coarser),
+        coarser_filters=coarser,
         filter_tone=tone,
         albedo_filters=averages,
     )

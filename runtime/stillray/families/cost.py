@@ -34,10 +34,10 @@ def kernel_pyramid_cost(levels: int, options: PyramidKernels) -> tuple[float, fl
         neighbours = 8 * (1 + 3 * 2) * len(level_layout(level, levels, options).distances)
         operations += share * (logits * EXP + kernels + 3 * 4 + 4 * 2 + doubled + neighbours)
         planes += share * (logits + 4 + 4)  # light read and the level's result written
-    for _ in options.finest_filters:
         filtered, moved = gaussian_cost(3, options.filter_features)
-        operations += filtered
-        planes += moved + 1  # a filter has a weight of the pixel itself, too
+        passes = len(options.filters(level))
+        operations += share * passes * filtered
+        planes += share * passes * (moved + 1)  # a filter has a weight of the pixel itself, too
     if options.filter_tone:  # a share by luminance, then two products with it a filter
         operations += 3 * 2 + 2 + EXP + 2 * len(options.finest_filters)
         planes += 1

@@ -3,7 +3,7 @@
 differs: Fan et al. 2021, section 5.2, blend a U-Net's resolutions by eq. 7. Here the weights of a
 coarser level come from the finer one, the blend is one softmax over what a pixel can take (itself,
 its kernels, its neighbours, the coarser level, which is doubled by shares of the network's own),
-the finest level is filtered along what looks alike (see `stillray.families.finest_filters`), and
+levels are filtered along what looks alike (see `stillray.families.level_filters`), and
 the re-modulated result is resolved with its neighbours and the previous output, which smooths
 edges as supersampling would and holds the picture still. Every step is a convex combination: no
 light is invented.
@@ -21,11 +21,11 @@ from stillray.arrays.extend import extended
 from stillray.arrays.strips import Strips, planes_of
 from stillray.families.albedo_average import averaged
 from stillray.families.cost import kernel_pyramid_cost
-from stillray.families.finest_filters import filter_finest
 from stillray.families.gaussian import share_of_bright
 from stillray.families.layer_filter import Outputs
+from stillray.families.level_filters import filter_level
 from stillray.families.logit_maps import LogitMaps, holds_nan, without_nan
-from stillray.families.pyramid_level import Level, pooled
+from stillray.families.pyramid_level import Level, pooled, repeat_border
 from stillray.families.pyramid_logits import NEIGHBOURS, level_layout, seen_from
 from stillray.families.pyramid_resolve import Finest, tone
 from stillray.families.pyramid_upsample import Doubled
@@ -91,10 +91,12 @@ class KernelPyramidModel(TemporalKernels):
         self.cost = kernel_pyramid_cost(self._levels, spec.decoder)
         self.ensemble = spec.decoder.ensemble
         # doubling looks into the neighbouring cell: 1.5 cells of every level above the finest,
-        # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, and the resolve
+        # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, what levels are
+        # filtered by one after the other, and the resolve
         radii = (size // 2 for size in spec.decoder.kernel_sizes)
         radius = max(*radii, *spec.decoder.finest_neighbours, int(spec.decoder.predicted))
-        filters = max(sum(spec.decoder.finest_filters), sum(spec.decoder.albedo_filters))
+        far = (sum(spec.decoder.filters(level)) << level for level in range(self._levels))
+        filters = max(sum(far), sum(spec.decoder.albedo_filters))
         looks = Looks(
             reach=3 * (coarsest - 1) + radius * coarsest + filters + 1,
             receptive_field=receptive_field(spec.network),
@@ -240,10 +242,8 @@ def _finest(
     coarser: Doubled | None = None
     for level in reversed(range(1, levels)):
         layout = level_layout(level, levels, options)
-        padded = (3, *(size + 2 for size in pyramid[level].shape[1:]))
-        blended = strips.workspace.array(f"blended {level}", padded)
-        Level(pyramid[level], coarser, maps[level], layout, options).blended(strips, blended)
-        coarser = Doubled(blended, maps[level], layout.double)
+        own = Level(pyramid[level], coarser, maps[level], layout, options)
+        coarser = Doubled(_filtered_level(own, level, strips), maps[level], layout.double)
     top = Level(pyramid[0], coarser, maps[0], finest, options)
     albedo: np.ndarray | None = None
     if options.albedo_filters and light.remodulation_albedo is not None:
@@ -254,7 +254,7 @@ def _finest(
     if not finest.filter_distances:
         return Finest(top, albedo=albedo)
     size = pyramid[0].shape[1:]
-    filtered, shares = filter_finest(
+    filtered, shares = filter_level(
         lambda rows, out: top.blend(rows, out, strips.workspace),
         (size[0], size[1]), maps[0], finest, strips,
         _share(shares, light.exposure, options.filter_tone),
@@ -262,10 +262,25 @@ def _finest(
     return Finest(top, filtered, shares, albedo)
 
 
+def _filtered_level(own: Level, level: int, strips: Strips) -> np.ndarray:
+    """A coarser level, blended and filtered, with its border repeated: ``(3, h + 2, w + 2)``."""
+    height, width = own.planes.shape[1:]
+    result = strips.workspace.array(f"blended {level}", (3, height + 2, width + 2))
+    if not own.layout.filter_distances:
+        own.blended(strips, result)
+        return result
+    result[:, 1:-1, 1:-1], _ = filter_level(
+        lambda rows, out: own.blend(rows, out, strips.workspace),
+        (height, width), own.logits, own.layout, strips,
+    )  # fmt: skip
+    repeat_border(result, top=True, bottom=True)
+    return result
+
+
 def _share(
     shares: np.ndarray | None, exposure: float, tone: float
 ) -> Callable[[slice, np.ndarray, np.ndarray], None] | None:
-    """How the finest level's filters learn what bright pixels weigh, see `filter_finest`."""
+    """How the finest level's filters learn what bright pixels weigh, see `filter_level`."""
     if not tone:
         return None
 

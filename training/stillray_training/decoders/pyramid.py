@@ -122,17 +122,16 @@ def kernel_pyramid(
             moved = [each for far in layouts[level].distances for each in shifted(own, far)]
             neighbours = zip(moved, others[-len(moved) :], strict=True)
             total = total + sum(share * neighbour for neighbour, share in neighbours)
+        logits = maps[level].filters
+        if level == 0 and options.filter_tone:
+            assert exposure is not None
+            logits = logits + share_of_bright(total.detach(), exposure, options.filter_tone).log()
+        pairs = zip(layouts[level].filter_distances, logits.split(2, 1), strict=False)
+        for distance, pair in pairs:
+            weight, itself = pair.exp().split(1, 1)
+            total = gaussian(total, maps[level].features, weight, itself, distance)
         result = total
     assert result is not None
-    finest = maps[0]
-    logits = finest.filters
-    if options.filter_tone:
-        assert exposure is not None
-        logits = logits + share_of_bright(result.detach(), exposure, options.filter_tone).log()
-    pairs = zip(layouts[0].filter_distances, logits.split(2, 1), strict=False)
-    for distance, pair in pairs:
-        weight, own = pair.exp().split(1, 1)
-        result = gaussian(result, finest.features, weight, own, distance)
     return result
 
 

@@ -1,8 +1,9 @@
-"""The last filters of a kernel pyramid: Gaussians of feature distances, further apart first.
+"""What a level of a kernel pyramid goes through at last: Gaussians of feature distances.
 
 Shares of neighbours, box windows and doubled levels all reach a few pixels or none alike; light on
-a rim of two pixels is to be found along it. Each pass looks at eight pixels at a distance and takes
-those that look alike, so that a few passes follow an edge.
+a rim of two pixels is to be found along it, and a wall is even only if it is averaged far along.
+Each pass looks at eight pixels at a distance and takes those that look alike, so that a few passes,
+further apart first, follow an edge and keep to a surface.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from stillray.families.logit_maps import LogitMaps
 from stillray.families.pyramid_logits import LevelLayout
 
 
-def filter_finest(
+def filter_level(
     blend: Callable[[slice, np.ndarray], None],
     size: tuple[int, int],
     logits: LogitMaps,
@@ -27,7 +28,7 @@ def filter_finest(
     strips: Strips,
     share: Callable[[slice, np.ndarray, np.ndarray], None] | None = None,
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """The finest level, blended and filtered.
+    """A level, blended and filtered.
 
     Parameters
     ----------
@@ -36,7 +37,7 @@ def filter_finest(
     size
         Height and width.
     logits
-        Of the finest level.
+        Of the level.
     layout
         Of the logits, with one filter or more.
     strips
@@ -60,15 +61,15 @@ def filter_finest(
     source, other, features, norms = images = [
         strips.workspace.array(name, (planes, height + 2 * margin, width + 2 * margin))
         for name, planes in (
-            ("finest 0", 3),
-            ("finest 1", 3),
-            ("finest features", count),
-            ("finest norms", 1),
+            ("filtered 0", 3),
+            ("filtered 1", 3),
+            ("filter features", count),
+            ("filter norms", 1),
         )
     ]
     shares: np.ndarray | None = None
     if share is not None:
-        shares = strips.workspace.array("finest shares", source.shape[1:])
+        shares = strips.workspace.array("filter shares", source.shape[1:])
         images.append(shares[None])
     within = slice(margin, margin + width)
 
