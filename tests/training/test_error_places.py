@@ -51,9 +51,19 @@ def test_mottling_is_coarse_and_noise_is_fine(halves):
     edges, rng = edges_of(frame), np.random.default_rng(0)
     noise = 1 + rng.uniform(-0.3, 0.3, reference.shape).astype(np.float32)
     found = find_errors(reference * noise, reference, edges)
-    assert found.fine > 10 * found.coarse
+    assert found.bands[0] > 10 * max(found.bands[2:])
     found = find_errors(reference * np.float32(1.1), reference, edges)
-    assert found.coarse > 10 * found.fine
+    assert found.bands[-1] > 10 * max(found.bands[:-1])
+
+
+@pytest.mark.parametrize(("wavelength", "band"), [(2, 0), (6, 1), (12, 2), (24, 3)])
+def test_waves_of_an_error_lie_in_the_band_of_their_size(wavelength, band):
+    # plain ground: as displayed an error is a share of it
+    reference = np.full((16, 192, 3), 0.3, np.float32)
+    wave = np.sin(2 * np.pi * (np.arange(192) + 0.5) / wavelength)
+    image = (reference * (1 + 0.02 * wave[None, :, None])).astype(np.float32)
+    found = find_errors(image, reference, np.zeros((16, 192), bool))
+    assert np.argmax(found.bands) == band
 
 
 def test_texture_of_the_picture_is_told_from_plain_ground(halves):

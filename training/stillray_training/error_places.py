@@ -1,13 +1,16 @@
 """``python -m stillray_training.error_places VALIDATION --model kpyr-5``: where errors are.
 
 Splits the squared error of stills, as displayed, into edges of surfaces, textures and the rest, and
-into what is left after a blur and what the blur takes away: mottling, and noise or lost detail.
+into bands by size: what each of several blurs, ever wider, takes away, from noise and lost detail
+to mottling and light that is off as a whole.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
@@ -27,7 +30,10 @@ from stillray_training.evaluate.methods import Methods
 
 _EDGE = 0.5  # slope of albedo, normal and log depth together, a pixel, after a blur of one
 _TEXTURE = 0.01  # of the display's range, against the mean over a few pixels
-_BLUR, _NEAR = 4.0, 2.0  # pixels
+_NEAR = 2.0  # pixels
+#: Wavelengths between bands, pixels: a blur lets half of the amplitude of one pass.
+WAVES = (4, 8, 16, 32, 64)
+_BLUR_OF_WAVE = math.sqrt(math.log(2) / 2) / math.pi  # its standard deviation, as a share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,15 +44,14 @@ class ErrorPlaces:
     ----------
     edges, textures, rest
         By where pixels lie; the sum is that of all.
-    coarse, fine
-        What a blur of 4 pixels leaves of the difference, and what it takes away.
+    bands
+        By size: of waves shorter than the first of `WAVES`, of those between two, beyond the last.
     """
 
     edges: float
     textures: float
     rest: float
-    coarse: float
-    fine: float
+    bands: tuple[float, ...]
 
     @property
     def total(self) -> float:
@@ -92,13 +97,13 @@ def find_errors(image: np.ndarray, reference: np.ndarray, edges: np.ndarray) -> 
     gray = wanted.mean(axis=-1).astype(np.float32)
     textures = ~edges & (np.abs(gray - cv2.GaussianBlur(gray, (0, 0), _NEAR)) > _TEXTURE)
     squares = np.square(error).mean(axis=-1)
-    coarse = cv2.GaussianBlur(error, (0, 0), _BLUR)
+    left = [error, *(cv2.GaussianBlur(error, (0, 0), _BLUR_OF_WAVE * wave) for wave in WAVES)]
+    bands = [*(near - far for near, far in pairwise(left)), left[-1]]
     return ErrorPlaces(
         edges=float((squares * edges).mean()),
         textures=float((squares * textures).mean()),
         rest=float((squares * ~(edges | textures)).mean()),
-        coarse=float(np.square(coarse).mean()),
-        fine=float(np.square(error - coarse).mean()),
+        bands=tuple(float(np.square(band).mean()) for band in bands),
     )
 
 
@@ -121,13 +126,12 @@ def main(
     model: Annotated[list[str] | None, typer.Option("--model", "-m", help="Repeatable.")] = None,
     peer: Annotated[list[str] | None, typer.Option(help="Repeatable; oidn-high if none.")] = None,
 ) -> None:
-    """Print 10,000 times the mean squared error of stills, by place and by size."""
-    table = Table("set", "method", "all", "edges", "textures", "rest", "coarse", "fine")
+    """Print 10,000 times the mean squared error of stills, by place and by wavelength in pixels."""
+    sizes = (*(f"to {wave}" for wave in WAVES), "beyond")
+    table = Table("set", "method", "all", "edges", "textures", "rest", *sizes)
     for (title, method), found in _rows(folder, model or ["kpyr-5"], peer or ["oidn-high"]).items():
-        means = [
-            1e4 * float(np.mean([getattr(one, name) for one in found]))
-            for name in ("total", "edges", "textures", "rest", "coarse", "fine")
-        ]
+        parts = [(one.total, one.edges, one.textures, one.rest, *one.bands) for one in found]
+        means = 1e4 * np.mean(parts, axis=0)
         table.add_row(title, method, *(f"{mean:.2f}" for mean in means))
     Console().print(table)
 
