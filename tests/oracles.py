@@ -249,8 +249,7 @@ def kernel_pyramid(
         less = 1 / np.minimum(1 + options.filter_tone * np.maximum(shown - 1, 0), 1e6)
         for index, distance in enumerate(_filters_of_levels(options, levels)[level]):
             features = np.log(compared[level][: options.filter_features])
-            pair = compared[level][options.filter_features + 2 * index :][:2]
-            pair = pair if level else pair * less
+            pair = compared[level][options.filter_features + 2 * index :][:2] * less
             result = _by_likeness(result, features, pair[0], pair[1], distance)
     albedo = albedo.astype(np.float64)
     for distance in options.albedo_filters:

@@ -11,7 +11,7 @@ light is invented.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -23,7 +23,7 @@ from stillray.families.albedo_average import averaged
 from stillray.families.cost import kernel_pyramid_cost
 from stillray.families.gaussian import share_of_bright
 from stillray.families.layer_filter import Outputs
-from stillray.families.level_filters import filter_level
+from stillray.families.level_filters import Share, filter_level
 from stillray.families.logit_maps import LogitMaps, holds_nan, without_nan
 from stillray.families.pyramid_level import Level, pooled, repeat_border
 from stillray.families.pyramid_logits import NEIGHBOURS, level_layout, seen_from
@@ -63,14 +63,14 @@ class Brightness:
 
     Attributes
     ----------
-    shares : (H, W) float32 or None
-        What pixels weigh in the finest level's filters, see `share_of_bright`; of the size that
-        the levels divide. None where brightness does not count there.
+    shares : tuple of (H, W) float32 or None
+        What pixels weigh in the filters of each level, finest first, see `share_of_bright`; of the
+        sizes of the levels. None of a level where brightness does not count; empty: of all.
     toned : (h + 2, w + 2) float32 or None
         What tells brighter neighbours in the resolve; None where they are not told.
     """
 
-    shares: np.ndarray | None = None
+    shares: tuple[np.ndarray | None, ...] = ()
     toned: np.ndarray | None = None
 
 
@@ -154,8 +154,9 @@ class KernelPyramidModel(TemporalKernels):
             return outputs
         outputs = without_nan(outputs)
         finest = _finest(light, outputs, self._options, strips)
-        shares = None if finest.shares is None else finest.shares.copy()
-        return [*outputs, Brightness(shares=shares, toned=finest.all_toned(light, strips))]
+        shares = [None if share is None else share.copy() for share in finest.shares]
+        brightness = Brightness(shares=tuple(shares), toned=finest.all_toned(light, strips))
+        return [*outputs, brightness]
 
 
 def filter_pyramid(
@@ -219,7 +220,7 @@ def _finest(
     logits: Sequence[Output],
     options: PyramidKernels,
     strips: Strips,
-    shares: np.ndarray | None = None,
+    frozen: Sequence[np.ndarray | None] = (),
 ) -> Finest:
     """The finest level with all that it is blended of, filtered where the model does that."""
     levels = len(logits)
@@ -240,10 +241,14 @@ def _finest(
         pooled(pyramid[-1], maps[level], pool, strips, coarse)
         pyramid.append(coarse)
     coarser: Doubled | None = None
+    shares: list[np.ndarray | None] = []
     for level in reversed(range(1, levels)):
         layout = level_layout(level, levels, options)
         own = Level(pyramid[level], coarser, maps[level], layout, options)
-        coarser = Doubled(_filtered_level(own, level, strips), maps[level], layout.double)
+        share = _share(frozen[level] if frozen else None, light.exposure, options.filter_tone)
+        blended, weighed = _filtered_level(own, level, strips, share)
+        coarser = Doubled(blended, maps[level], layout.double)
+        shares.insert(0, weighed)
     top = Level(pyramid[0], coarser, maps[0], finest, options)
     albedo: np.ndarray | None = None
     if options.albedo_filters and light.remodulation_albedo is not None:
@@ -252,35 +257,31 @@ def _finest(
             light.remodulation_albedo, maps[0], neighbours, options.albedo_filters, strips
         )
     if not finest.filter_distances:
-        return Finest(top, albedo=albedo)
-    size = pyramid[0].shape[1:]
-    filtered, shares = filter_level(
-        lambda rows, out: top.blend(rows, out, strips.workspace),
-        (size[0], size[1]), maps[0], finest, strips,
-        _share(shares, light.exposure, options.filter_tone),
-    )  # fmt: skip
-    return Finest(top, filtered, shares, albedo)
+        return Finest(top, None, (None, *shares), albedo)
+    share = _share(frozen[0] if frozen else None, light.exposure, options.filter_tone)
+    filtered, weighed = filter_level(top, 0, strips, share)
+    return Finest(top, filtered, (weighed, *shares), albedo)
 
 
-def _filtered_level(own: Level, level: int, strips: Strips) -> np.ndarray:
-    """A coarser level, blended and filtered, with its border repeated: ``(3, h + 2, w + 2)``."""
+def _filtered_level(
+    own: Level, level: int, strips: Strips, share: Share | None
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """A coarser level, blended and filtered, with its border repeated: ``(3, h + 2, w + 2)``.
+
+    And what its pixels weighed in the filters, see `filter_level`.
+    """
     height, width = own.planes.shape[1:]
     result = strips.workspace.array(f"blended {level}", (3, height + 2, width + 2))
     if not own.layout.filter_distances:
         own.blended(strips, result)
-        return result
-    result[:, 1:-1, 1:-1], _ = filter_level(
-        lambda rows, out: own.blend(rows, out, strips.workspace),
-        (height, width), own.logits, own.layout, strips,
-    )  # fmt: skip
+        return result, None
+    result[:, 1:-1, 1:-1], weighed = filter_level(own, level, strips, share)
     repeat_border(result, top=True, bottom=True)
-    return result
+    return result, weighed
 
 
-def _share(
-    shares: np.ndarray | None, exposure: float, tone: float
-) -> Callable[[slice, np.ndarray, np.ndarray], None] | None:
-    """How the finest level's filters learn what bright pixels weigh, see `filter_level`."""
+def _share(shares: np.ndarray | None, exposure: float, tone: float) -> Share | None:
+    """How a level's filters learn what bright pixels weigh, see `filter_level`."""
     if not tone:
         return None
 

@@ -17,43 +17,40 @@ import numpy as np
 from stillray.arrays.strips import Strips, with_halo
 from stillray.families.gaussian import Weights, framed, gaussian, measured
 from stillray.families.logit_maps import LogitMaps
+from stillray.families.pyramid_level import Level
 from stillray.families.pyramid_logits import LevelLayout
+
+#: Writes what rows weigh of what the logits say, ``(rows, w)``, told what was blended there,
+#: ``(3, rows, w)``.
+Share = Callable[[slice, np.ndarray, np.ndarray], None]
 
 
 def filter_level(
-    blend: Callable[[slice, np.ndarray], None],
-    size: tuple[int, int],
-    logits: LogitMaps,
-    layout: LevelLayout,
-    strips: Strips,
-    share: Callable[[slice, np.ndarray, np.ndarray], None] | None = None,
+    own: Level, level: int, strips: Strips, share: Share | None = None
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """A level, blended and filtered.
 
     Parameters
     ----------
-    blend
-        Writes rows of what is filtered, ``(3, rows, w)``.
-    size
-        Height and width.
-    logits
-        Of the level.
-    layout
-        Of the logits, with one filter or more.
+    own
+        The level, whose layout has one filter or more.
+    level
+        Which one, 0 being the finest.
     strips
         Where the work runs.
     share
-        Writes what rows weigh of what the logits say, ``(rows, w)``, told what was blended there,
-        ``(3, rows, w)``; None where they weigh all of it.
+        What bright pixels weigh; None where they weigh all of what the logits say.
 
     Returns
     -------
     filtered : (3, h, w) float32
-        In the workspace of this thread: convex combinations of what was blended.
+        In the workspace of this thread until the next level is filtered: convex combinations of
+        what was blended.
     shares : (h, w) float32 or None
-        In the workspace, too: what ``share`` has written.
+        In the workspace, too, until the level is filtered again: what ``share`` has written.
     """
-    height, width = size
+    height, width = own.planes.shape[1:]
+    logits, layout = own.logits, own.layout
     margin = max(layout.filter_distances)
     inside = slice(margin, margin + height)
     count = layout.features.stop - layout.features.start
@@ -69,7 +66,7 @@ def filter_level(
     ]
     shares: np.ndarray | None = None
     if share is not None:
-        shares = strips.workspace.array("filter shares", source.shape[1:])
+        shares = strips.workspace.array(f"filter shares {level}", source.shape[1:])
         images.append(shares[None])
     within = slice(margin, margin + width)
 
@@ -77,7 +74,7 @@ def filter_level(
         at = slice(margin + rows.start, margin + rows.stop)
         for image in images:
             _frame(image, at, margin)
-        blend(rows, source[:, at, within])
+        own.blend(rows, source[:, at, within], strips.workspace)
         logits.numbers(layout.features, rows, features[:, at, within])
         measured(features[:, at, within], norms[0, at, within])
         if share is not None and shares is not None:

@@ -36,15 +36,15 @@ class Finest:
         What it is blended of.
     filtered : (3, h, w) float32 or None
         The level as its last filters left it, which is then not blended again.
-    shares : (h, w) float32 or None
-        What its pixels weighed in those filters.
+    shares : tuple of (h, w) float32 or None
+        What pixels weighed in the filters of each level, finest first.
     albedo : (3, h, w) float32 or None
         That it is multiplied by in place of the frame's, see `stillray.families.albedo_average`.
     """
 
     level: Level
     filtered: np.ndarray | None = None
-    shares: np.ndarray | None = None
+    shares: tuple[np.ndarray | None, ...] = ()
     albedo: np.ndarray | None = None
 
     def resolve(

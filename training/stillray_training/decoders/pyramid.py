@@ -123,7 +123,7 @@ def kernel_pyramid(
             neighbours = zip(moved, others[-len(moved) :], strict=True)
             total = total + sum(share * neighbour for neighbour, share in neighbours)
         logits = maps[level].filters
-        if level == 0 and options.filter_tone:
+        if layouts[level].filter_distances and options.filter_tone:
             assert exposure is not None
             logits = logits + share_of_bright(total.detach(), exposure, options.filter_tone).log()
         pairs = zip(layouts[level].filter_distances, logits.split(2, 1), strict=False)
