@@ -24,7 +24,7 @@ PALE, DARK = np.float32([0.8, 0.75, 0.7]), np.float32([0.08, 0.12, 0.2])
 
 @pytest.fixture(scope="module")
 def prefilter():
-    made = Prefilter("kpyr-5s-albedo", 1, None, "float32")
+    made = Prefilter(Prefilters(albedo="kpyr-5s-albedo"), 1, None, "float32")
     yield made
     made.close()
 

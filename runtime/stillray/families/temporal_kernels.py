@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from stillray.arrays.strips import Strips
-from stillray.arrays.tiles import Tile
+from stillray.arrays.tiles import Tile, tiles_of
 from stillray.arrays.watch import Watch
 from stillray.families.contract import Context, Request, State, Step, Traits
 from stillray.families.layer_filter import FilteredLayers, Outputs, Shading
@@ -273,6 +273,52 @@ class TemporalKernels(ABC):
             found = self._picture(part, past, context)
             image[tile.inner] = found[tile.within]
         return image
+
+    def with_normals(self, plan: Plan, context: Context) -> tuple[np.ndarray, np.ndarray]:
+        """The picture of a frame without a past, and its normals filtered by the same weights.
+
+        Parameters
+        ----------
+        plan
+            Of a frame with normals.
+        context
+            As `step` takes it.
+
+        Returns
+        -------
+        (h, w, 3), (h, w, 3) float32
+            The picture before anything is put back into it; means of normals, not of length 1.
+        """
+        assert isinstance(plan, KernelPlan)
+        prepared, _ = self.prepare(plan, context)
+        image, normals = (np.empty((*prepared.luminance.shape, 3), np.float32) for _ in range(2))
+        height, width = prepared.luminance.shape
+        whole = tiles_of((height, width), max(height, width), 0, 1)
+        for tile in plan.tiles or whole:
+            part = crop(prepared, tile, context.strips.watch) if plan.tiles else prepared
+            said: list[list[Any]] = []
+            picture = self._picture(part, None, context, said)
+            image[tile.inner] = picture[tile.within]
+            normals[tile.inner] = self._filtered_normals(part, said, context)[tile.within]
+        return image, normals
+
+    def _filtered_normals(
+        self, part: Prepared, said: list[list[Any]], context: Context
+    ) -> np.ndarray:
+        """Normals of a prepared frame, filtered by what the network said of views of it."""
+        assert part.normal is not None
+        strips, light = context.strips, filterable(part, None)
+        mean = context.workspace.array("normals", light.mean.shape)
+
+        def pack(rows: slice) -> None:
+            mean[rows, :, :3], mean[rows, :, 3] = part.normal[rows], light.mean[rows, :, 3]  # type: ignore[index]
+
+        strips.run(pack, *mean.shape[:2])
+        normals = Filterable(mean=mean, filter_sharpness=light.filter_sharpness)
+        return mean_picture(
+            self.reconstruct(normals, self.frozen(light, outputs, strips), strips, context.timings)
+            for outputs in said
+        )
 
     def _picture(
         self,

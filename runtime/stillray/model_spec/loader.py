@@ -150,6 +150,8 @@ class ModelSpec:
             within("length of decoder.coarser_filters", levels, 0, self.network.resolutions - 1)
         if self.prefilter.albedo:
             _require_name(self.prefilter.albedo)
+        elif self.prefilter.normal:
+            raise SpecError("prefilter.normal must be false without a model in prefilter.albedo")
 
     def to_json(self) -> str:
         """The spec as JSON text, as it is embedded in a model file."""

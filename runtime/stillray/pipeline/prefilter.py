@@ -1,9 +1,10 @@
-"""A frame's albedo, denoised before the frame is.
+"""A frame's albedo and normals, denoised before the frame is.
 
 Of few samples, albedo out of focus, of things in motion, seen through glass or of materials that
 are chosen by chance is noise. Light is divided by it, and the picture multiplied: as noisy as the
 albedo was. A network that sees only the albedo and what lies below it tells noise from texture, as
-Open Image Denoise's prefilters do.
+Open Image Denoise's prefilters do. Its weights serve the normals as well: how much of a pixel each
+of two surfaces fills is as unknown of them.
 """
 
 from __future__ import annotations
@@ -14,8 +15,10 @@ import cv2
 import numpy as np
 
 from stillray.families.contract import Context
+from stillray.families.temporal_kernels import TemporalKernels
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
+from stillray.model_spec.stages import Prefilter as Stages
 from stillray.models.network import WatchedEngine
 from stillray.models.registry import find_model
 from stillray.pipeline.opening import (
@@ -68,12 +71,12 @@ def guides_of(frame: Frame, albedo: np.ndarray) -> Frame:
 
 
 class Prefilter:
-    """Denoises the albedo of frames by a model of its own.
+    """Denoises the albedo of frames, and perhaps their normals, by a model of its own.
 
     Parameters
     ----------
-    model
-        Its name.
+    stage
+        The model's name, and whether it filters normals, too.
     threads, providers, precision
         As `stillray.Denoiser` takes them.
 
@@ -83,8 +86,9 @@ class Prefilter:
         There is no such model.
     """
 
-    def __init__(self, model: str, threads: int, providers: Providers, precision: str) -> None:
-        self._model = find_model(model)
+    def __init__(self, stage: Stages, threads: int, providers: Providers, precision: str) -> None:
+        self._model = find_model(stage.albedo)
+        self._with_normals = stage.normal
         self._family = family_of_model(self._model, providers)
         network = network_path(self._model, precision, providers)
         self._engine = engine_of_model(self._model, threads, providers, network)
@@ -108,10 +112,10 @@ class Prefilter:
         Returns
         -------
         Frame
-            The same but for its albedo: convex combinations of what was there, in [0, 1], and where
-            the frame says its samples no further from it than those let it be. Skies,
-            lamps and mirrors that are black stay black beside what is not: their light would be
-            divided by next to nothing.
+            The same but for its albedo, and its normals where they are filtered, too: convex
+            combinations of what was there, in [0, 1], and where the frame says its samples no
+            further from it than those let it be. Skies, lamps and mirrors whose albedo is black
+            stay black beside what is not: their light would be divided by next to nothing.
         """
         assert frame.albedo is not None
         strips = context.strips
@@ -131,7 +135,14 @@ class Prefilter:
         inner = Context(strips=strips, engine=engine, workspace=context.workspace)
         asked = Asked(model=self._model.name, temporal=False, max_memory=max_memory)
         plan = plan_frame(guides, None, self._family, asked, inner)
-        image = self._family.step(plan, inner).image
+        normal = frame.normal
+        if self._with_normals and normal is not None and isinstance(self._family, TemporalKernels):
+            image, filtered = self._family.with_normals(plan, inner)
+            if frame.samples is not None:
+                bound_by_samples(filtered, normal, frame.samples, strips)
+            normal = filtered
+        else:
+            image = self._family.step(plan, inner).image
         if frame.samples is not None:
             bound_by_samples(image, albedo, frame.samples, strips)
 
@@ -142,7 +153,7 @@ class Prefilter:
             np.minimum(image[rows], 1, out=image[rows])
 
         strips.run(keep_black, *frame.shape)
-        return replace(frame, albedo=image, clean_features=True)
+        return replace(frame, albedo=image, normal=normal, clean_features=True)
 
 
 def _within(albedo: np.ndarray, most: float) -> np.ndarray:
