@@ -220,3 +220,10 @@ def test_filters_of_coarser_levels_survive_json():
     spec = from_json(json.dumps(data))
     assert spec.decoder.coarser_filters == ((2, 1), (), (4,))
     assert from_json(spec.to_json()) == spec
+
+
+def test_normals_are_not_filtered_by_a_model_that_is_not_named():
+    data = json.loads(load("kpyr-5").to_json())
+    data["prefilter"] = {"albedo": "", "normal": True}
+    with pytest.raises(SpecError, match=r"prefilter\.normal must be false without a model in"):
+        from_json(json.dumps(data))

@@ -274,7 +274,9 @@ class TemporalKernels(ABC):
             image[tile.inner] = found[tile.within]
         return image
 
-    def with_normals(self, plan: Plan, context: Context) -> tuple[np.ndarray, np.ndarray]:
+    def with_normals(
+        self, plan: Plan, context: Context
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The picture of a frame without a past, and its normals filtered by the same weights.
 
         Parameters
@@ -286,11 +288,13 @@ class TemporalKernels(ABC):
 
         Returns
         -------
-        (h, w, 3), (h, w, 3) float32
-            The picture before anything is put back into it; means of normals, not of length 1.
+        (h, w, 3), (h, w, 3), (h, w, 3) float32
+            The picture before anything is put back into it; the normals, repaired where they were
+            no numbers or out of their range; and means of them, not of length 1.
         """
         assert isinstance(plan, KernelPlan)
         prepared, _ = self.prepare(plan, context)
+        assert prepared.normal is not None
         image, normals = (np.empty((*prepared.luminance.shape, 3), np.float32) for _ in range(2))
         height, width = prepared.luminance.shape
         whole = tiles_of((height, width), max(height, width), 0, 1)
@@ -300,7 +304,7 @@ class TemporalKernels(ABC):
             picture = self._picture(part, None, context, said)
             image[tile.inner] = picture[tile.within]
             normals[tile.inner] = self._filtered_normals(part, said, context)[tile.within]
-        return image, normals
+        return image, prepared.normal, normals
 
     def _filtered_normals(
         self, part: Prepared, said: list[list[Any]], context: Context

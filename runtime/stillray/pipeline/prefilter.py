@@ -47,7 +47,8 @@ def prefilter_stages(frame: Frame, spec: ModelSpec) -> list[Stage]:
         return [Stage(PREFILTER, False, "there is no albedo")]
     if frame.clean_features:
         return [Stage(PREFILTER, False, "the albedo is said to have no noise")]
-    return [Stage(PREFILTER, True, f"the albedo may have noise: {model}")]
+    what = "albedo and normals" if spec.prefilter.normal and frame.normal is not None else "albedo"
+    return [Stage(PREFILTER, True, f"the {what} may have noise: {model}")]
 
 
 def foretold(frame: Frame, spec: ModelSpec) -> tuple[list[Stage], Frame]:
@@ -137,10 +138,9 @@ class Prefilter:
         plan = plan_frame(guides, None, self._family, asked, inner)
         normal = frame.normal
         if self._with_normals and normal is not None and isinstance(self._family, TemporalKernels):
-            image, filtered = self._family.with_normals(plan, inner)
+            image, given, normal = self._family.with_normals(plan, inner)
             if frame.samples is not None:
-                bound_by_samples(filtered, normal, frame.samples, strips)
-            normal = filtered
+                bound_by_samples(normal, given, frame.samples, strips)
         else:
             image = self._family.step(plan, inner).image
         if frame.samples is not None:

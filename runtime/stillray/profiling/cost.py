@@ -108,9 +108,12 @@ def stage_costs(info: ModelInfo, frame: Frame, precision: str = "float32") -> di
     if frame.albedo is not None and any(s.runs for s in prefilter_stages(frame, info.spec)):
         prefilter = find_model(info.spec.prefilter.albedo)
         first = stage_costs(prefilter, guides_of(frame, frame.albedo), precision)
+        parts = list(first.values())
+        if info.spec.prefilter.normal and frame.normal is not None:
+            parts.append(first["reconstruct"])
         costs[PREFILTER] = Cost(
-            operations=sum(cost.operations / cost.lanes for cost in first.values()),
-            bytes=sum(cost.bytes for cost in first.values()),
+            operations=sum(cost.operations / cost.lanes for cost in parts),
+            bytes=sum(cost.bytes for cost in parts),
         )
     return costs
 
