@@ -287,3 +287,11 @@ def test_a_prefilter_that_is_not_there_is_named():
     spec = dataclasses.replace(info.spec, prefilter=Prefilters(albedo="nothing"))
     with pytest.raises(InputError, match="nothing"):
         stillray.Denoiser(dataclasses.replace(info, spec=spec))
+
+
+def test_a_prefilter_that_cannot_filter_normals_is_named():
+    info = find_model(MODEL)
+    first = Prefilters(albedo="nbg-7x3", normal=True)
+    spec = dataclasses.replace(info.spec, prefilter=first)
+    with pytest.raises(InputError, match=r"prefilter\.normal must be false .*got nbg-7x3"):
+        stillray.Denoiser(dataclasses.replace(info, spec=spec))

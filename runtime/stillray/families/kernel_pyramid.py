@@ -12,14 +12,16 @@ light is invented.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from stillray.arrays.extend import extended
 from stillray.arrays.strips import Strips, planes_of
+from stillray.arrays.tiles import Tile, tiles_of
 from stillray.families.albedo_average import averaged
+from stillray.families.contract import Context
 from stillray.families.cost import kernel_pyramid_cost
 from stillray.families.gaussian import share_of_bright
 from stillray.families.layer_filter import Outputs
@@ -29,13 +31,14 @@ from stillray.families.pyramid_level import Level, pooled, repeat_border
 from stillray.families.pyramid_logits import NEIGHBOURS, level_layout, seen_from
 from stillray.families.pyramid_resolve import Finest, tone
 from stillray.families.pyramid_upsample import Doubled
-from stillray.families.temporal_kernels import Looks, TemporalKernels
+from stillray.families.temporal_kernels import KernelPlan, Looks, TemporalKernels, crop
 from stillray.families.views import View
 from stillray.model_spec.decoders import PyramidKernels
 from stillray.model_spec.loader import ModelSpec
 from stillray.model_spec.networks import PyramidNetwork
 from stillray.models.steps import InSteps, Output
-from stillray.stages.state import Filterable
+from stillray.stages.plan import Plan
+from stillray.stages.state import Filterable, Prepared, filterable
 from stillray.timing import timed
 
 
@@ -89,6 +92,8 @@ class KernelPyramidModel(TemporalKernels):
         self._levels = spec.network.resolutions
         self.method = f"kernels at {self._levels} resolutions, resolved with the last output"
         self.cost = kernel_pyramid_cost(self._levels, spec.decoder)
+        #: The same of `with_normals`.
+        self.cost_with_normals = kernel_pyramid_cost(self._levels, spec.decoder, channels=6)
         self.ensemble = spec.decoder.ensemble
         # doubling looks into the neighbouring cell: 1.5 cells of every level above the finest,
         # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, what levels are
@@ -139,6 +144,42 @@ class KernelPyramidModel(TemporalKernels):
             found.append(InSteps(seen, given.steps) if isinstance(given, InSteps) else seen)
         return found
 
+    def with_normals(
+        self, plan: Plan, context: Context
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The picture of a frame without a past, and its normals filtered by the same weights.
+
+        Parameters
+        ----------
+        plan
+            Of a frame with normals.
+        context
+            As `step` takes it.
+
+        Returns
+        -------
+        (h, w, 3), (h, w, 3), (h, w, 3) float32
+            The picture before anything is put back into it; the normals, repaired where they were
+            no numbers or out of their range; and means of them, not of length 1.
+        """
+        assert isinstance(plan, KernelPlan)
+        prepared, _ = self.prepare(plan, context)
+        assert prepared.normal is not None
+        height, width = shape = prepared.luminance.shape
+        image, normals = (np.empty((*shape, 3), np.float32) for _ in range(2))
+        whole = tiles_of((height, width), max(shape), 0, 1)
+        for tile in plan.tiles or whole:
+            part = crop(prepared, tile, context.strips.watch) if plan.tiles else prepared
+            found = self.picture(part, _with_normals_of(part, context), context)[tile.within]
+
+            def take(rows: slice, found: np.ndarray = found, tile: Tile = tile) -> None:
+                six = cv2.split(found[rows])
+                for at, out in ((0, image), (3, normals)):
+                    out[tile.inner][rows] = cv2.merge(six[at : at + 3])
+
+            context.strips.run(take, *found.shape[:2])
+        return image, prepared.normal, normals
+
     def frozen(self, light: Filterable, outputs: Outputs, strips: Strips) -> Outputs:
         """Outputs by which other layers are filtered as the frame's light was.
 
@@ -157,6 +198,22 @@ class KernelPyramidModel(TemporalKernels):
         shares = [None if share is None else share.copy() for share in finest.shares]
         brightness = Brightness(shares=tuple(shares), toned=finest.all_toned(light, strips))
         return [*outputs, brightness]
+
+
+def _with_normals_of(prepared: Prepared, context: Context) -> Filterable:
+    """What kernels look at of a frame without a past, its normals after its light."""
+    light, normal = filterable(prepared, None), prepared.normal
+    assert normal is not None
+    height, width = light.mean.shape[:2]
+    mean = context.workspace.array("light and normals", (height, width, 7))
+
+    def pack(rows: slice) -> None:
+        parts = [*cv2.split(light.mean[rows]), *cv2.split(normal[rows])]
+        cv2.merge([*parts[:3], *parts[4:], parts[3]], dst=mean[rows])
+
+    context.strips.run(pack, height, width)
+    # the sample of a frame without a past is its mean
+    return replace(light, mean=mean, sample=None)
 
 
 def filter_pyramid(
@@ -185,9 +242,10 @@ def filter_pyramid(
 
     Returns
     -------
-    (h, w, 3) float32
+    (h, w, c) float32
         Radiance: for every pixel a convex combination of the irradiance around it, accumulated
-        and new, times the divisors of its 3x3 neighbours, and of the previous output.
+        and new, times the divisors of its 3x3 neighbours, and of the previous output. Where the
+        light has further channels, so has it.
     """
     image = _filtered(light, logits, options, strips, brightness)
     # A logit that is not a number says nothing: 0. It shows in the image, which is a fifth of the
@@ -205,7 +263,7 @@ def _filtered(
     brightness: Brightness,
 ) -> np.ndarray:
     height, width = light.mean.shape[:2]
-    image = np.empty((height, width, 3), np.float32)
+    image = np.empty((height, width, light.mean.shape[2] - 1), np.float32)
     finest = _finest(light, logits, options, strips, brightness.shares)
 
     def work(rows: slice) -> None:
@@ -236,7 +294,8 @@ def _finest(
         pool = level_layout(level, levels, options).pool
         # levels lie in the workspace of this thread from frame to frame
         coarse = strips.workspace.array(
-            f"pyramid {level + 1}", (4, *(size // 2 for size in pyramid[-1].shape[1:]))
+            f"pyramid {level + 1}",
+            (len(pyramid[-1]), *(size // 2 for size in pyramid[-1].shape[1:])),
         )
         pooled(pyramid[-1], maps[level], pool, strips, coarse)
         pyramid.append(coarse)
@@ -266,12 +325,13 @@ def _finest(
 def _filtered_level(
     own: Level, level: int, strips: Strips, share: Share | None
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """A coarser level, blended and filtered, with its border repeated: ``(3, h + 2, w + 2)``.
+    """A coarser level, blended and filtered, with its border repeated: ``(c, h + 2, w + 2)``.
 
     And what its pixels weighed in the filters, see `filter_level`.
     """
     height, width = own.planes.shape[1:]
-    result = strips.workspace.array(f"blended {level}", (3, height + 2, width + 2))
+    padded = (len(own.planes) - 1, height + 2, width + 2)
+    result = strips.workspace.array(f"blended {level}", padded)
     if not own.layout.filter_distances:
         own.blended(strips, result)
         return result, None
@@ -301,9 +361,9 @@ def _whole_blocks(
     mean, sample = light.mean, light.sample
     if mean.shape[:2] == size:
         return mean, sample
-    mean = extended(mean, strips.workspace.array("extended", (*size, 4)), strips)
+    mean = extended(mean, strips.workspace.array("extended", (*size, mean.shape[2])), strips)
     if sample is not None:
-        planes = strips.workspace.array("extended sample", (4, *size))
+        planes = strips.workspace.array("extended sample", (len(sample), *size))
         for plane, target in zip(sample, planes, strict=True):
             extended(plane, target, strips)
         sample = planes
@@ -317,17 +377,17 @@ def _blended_with_sample(
     sample_blend: slice,
     strips: Strips,
 ) -> np.ndarray:
-    """Light and samples as ``(4, h, w)``: what was accumulated, with more of the new sample.
+    """Light and samples as ``(c + 1, h, w)``: what was accumulated, with more of the new sample.
 
     A past that no longer holds (a mirror's picture moves otherwise than the mirror, a shadow
     passes over a surface that stays) is known to the network, not to the geometry.
     """
-    planes = strips.workspace.array("pyramid 0", (4, *mean.shape[:2]))
+    planes = strips.workspace.array("pyramid 0", (mean.shape[2], *mean.shape[:2]))
 
     def work(rows: slice) -> None:
         workspace = strips.workspace
         shape = (rows.stop - rows.start, mean.shape[1])
-        past = planes_of(mean[rows], out=workspace.array("mean", (4, *shape)))
+        past = planes_of(mean[rows], out=workspace.array("mean", (len(planes), *shape)))
         if sample is None:
             planes[:, rows] = past
             return
@@ -335,13 +395,13 @@ def _blended_with_sample(
         more, total = workspace.array("more", shape), workspace.array("total", shape)
         logits.weight(sample_blend.start, rows, more)
         held = np.add(more, 1, out=workspace.array("held", shape))
-        more *= new[3]
-        np.add(past[3], more, out=total)
-        np.divide(total, held, out=planes[3, rows])
+        more *= new[-1]
+        np.add(past[-1], more, out=total)
+        np.divide(total, held, out=planes[-1, rows])
         more /= total
-        rest = np.divide(past[3], total, out=total)
+        rest = np.divide(past[-1], total, out=total)
         # two products, since a difference would cancel where a firefly meets a dark past
-        for light, own_sample, target in zip(past, new, planes[:3, rows], strict=False):
+        for light, own_sample, target in zip(past, new, planes[:-1, rows], strict=False):
             np.multiply(light, rest, out=target)
             cv2.accumulateProduct(own_sample, more, target)
 

@@ -21,7 +21,7 @@ from stillray.families.pyramid_level import Level
 from stillray.families.pyramid_logits import LevelLayout
 
 #: Writes what rows weigh of what the logits say, ``(rows, w)``, told what was blended there,
-#: ``(3, rows, w)``.
+#: ``(c, rows, w)``.
 Share = Callable[[slice, np.ndarray, np.ndarray], None]
 
 
@@ -43,7 +43,7 @@ def filter_level(
 
     Returns
     -------
-    filtered : (3, h, w) float32
+    filtered : (c, h, w) float32
         In the workspace of this thread until the next level is filtered: convex combinations of
         what was blended.
     shares : (h, w) float32 or None
@@ -58,8 +58,8 @@ def filter_level(
     source, other, features, norms = images = [
         strips.workspace.array(name, (planes, height + 2 * margin, width + 2 * margin))
         for name, planes in (
-            ("filtered 0", 3),
-            ("filtered 1", 3),
+            ("filtered 0", len(own.planes) - 1),
+            ("filtered 1", len(own.planes) - 1),
             ("filter features", count),
             ("filter norms", 1),
         )

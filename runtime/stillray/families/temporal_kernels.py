@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from stillray.arrays.strips import Strips
-from stillray.arrays.tiles import Tile, tiles_of
+from stillray.arrays.tiles import Tile
 from stillray.arrays.watch import Watch
 from stillray.families.contract import Context, Request, State, Step, Traits
 from stillray.families.layer_filter import FilteredLayers, Outputs, Shading
@@ -206,7 +206,7 @@ class TemporalKernels(ABC):
             image = self._tiled(prepared, previous, plan.tiles, context)
         else:
             keep = outputs if plan.runs("layers") else None
-            image = self._picture(prepared, previous, context, keep)
+            image = self.picture(prepared, filterable(prepared, previous), context, keep)
         shading = self._shading(plan, image, prepared, context)
         layers: FilteredLayers | None = None
         if outputs:
@@ -270,64 +270,14 @@ class TemporalKernels(ABC):
         for tile in tiles:
             past = None if previous is None else np.ascontiguousarray(previous[tile.outer])
             part = crop(prepared, tile, context.strips.watch)
-            found = self._picture(part, past, context)
+            found = self.picture(part, filterable(part, past), context)
             image[tile.inner] = found[tile.within]
         return image
 
-    def with_normals(
-        self, plan: Plan, context: Context
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The picture of a frame without a past, and its normals filtered by the same weights.
-
-        Parameters
-        ----------
-        plan
-            Of a frame with normals.
-        context
-            As `step` takes it.
-
-        Returns
-        -------
-        (h, w, 3), (h, w, 3), (h, w, 3) float32
-            The picture before anything is put back into it; the normals, repaired where they were
-            no numbers or out of their range; and means of them, not of length 1.
-        """
-        assert isinstance(plan, KernelPlan)
-        prepared, _ = self.prepare(plan, context)
-        assert prepared.normal is not None
-        image, normals = (np.empty((*prepared.luminance.shape, 3), np.float32) for _ in range(2))
-        height, width = prepared.luminance.shape
-        whole = tiles_of((height, width), max(height, width), 0, 1)
-        for tile in plan.tiles or whole:
-            part = crop(prepared, tile, context.strips.watch) if plan.tiles else prepared
-            said: list[list[Any]] = []
-            picture = self._picture(part, None, context, said)
-            image[tile.inner] = picture[tile.within]
-            normals[tile.inner] = self._filtered_normals(part, said, context)[tile.within]
-        return image, prepared.normal, normals
-
-    def _filtered_normals(
-        self, part: Prepared, said: list[list[Any]], context: Context
-    ) -> np.ndarray:
-        """Normals of a prepared frame, filtered by what the network said of views of it."""
-        assert part.normal is not None
-        strips, light = context.strips, filterable(part, None)
-        mean = context.workspace.array("normals", light.mean.shape)
-
-        def pack(rows: slice) -> None:
-            mean[rows, :, :3], mean[rows, :, 3] = part.normal[rows], light.mean[rows, :, 3]  # type: ignore[index]
-
-        strips.run(pack, *mean.shape[:2])
-        normals = Filterable(mean=mean, filter_sharpness=light.filter_sharpness)
-        return mean_picture(
-            self.reconstruct(normals, self.frozen(light, outputs, strips), strips, context.timings)
-            for outputs in said
-        )
-
-    def _picture(
+    def picture(
         self,
         prepared: Prepared,
-        previous: np.ndarray | None,
+        light: Filterable,
         context: Context,
         keep: list[list[Any]] | None = None,
     ) -> np.ndarray:
@@ -335,8 +285,7 @@ class TemporalKernels(ABC):
 
         No two views' outputs are held at a time unless they are kept.
         """
-        light = filterable(prepared, previous)
-        planes = self._encode(prepared, previous, context)
+        planes = self._encode(prepared, light.previous, context)
 
         def pictures() -> Iterator[np.ndarray]:
             for index, view in enumerate(VIEWS[: self.ensemble]):

@@ -14,8 +14,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from stillray.errors import InputError
 from stillray.families.contract import Context
-from stillray.families.temporal_kernels import TemporalKernels
+from stillray.families.kernel_pyramid import KernelPyramidModel
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
 from stillray.model_spec.stages import Prefilter as Stages
@@ -84,13 +85,20 @@ class Prefilter:
     Raises
     ------
     InputError
-        There is no such model.
+        There is no such model, or it cannot filter normals.
     """
 
     def __init__(self, stage: Stages, threads: int, providers: Providers, precision: str) -> None:
         self._model = find_model(stage.albedo)
-        self._with_normals = stage.normal
         self._family = family_of_model(self._model, providers)
+        self._of_both: KernelPyramidModel | None = None
+        if stage.normal:
+            if not isinstance(self._family, KernelPyramidModel):
+                raise InputError(
+                    "prefilter.normal must be false with a prefilter that is no kernel pyramid, "
+                    f"got {stage.albedo} of {self._model.family}"
+                )
+            self._of_both = self._family
         network = network_path(self._model, precision, providers)
         self._engine = engine_of_model(self._model, threads, providers, network)
 
@@ -137,8 +145,8 @@ class Prefilter:
         asked = Asked(model=self._model.name, temporal=False, max_memory=max_memory)
         plan = plan_frame(guides, None, self._family, asked, inner)
         normal = frame.normal
-        if self._with_normals and normal is not None and isinstance(self._family, TemporalKernels):
-            image, given, normal = self._family.with_normals(plan, inner)
+        if self._of_both is not None and normal is not None:
+            image, given, normal = self._of_both.with_normals(plan, inner)
             if frame.samples is not None:
                 bound_by_samples(normal, given, frame.samples, strips)
         else:
