@@ -216,10 +216,10 @@ def test_stages_say_whether_and_why(rng):
         told = {
             reason: denoiser.stages(given)[0]
             for reason, given in (
-                ("the albedo may have noise: kpyr-5s-albedo", frame),
+                ("the albedo and normals may have noise: kpyr-5s-albedo", frame),
                 ("there is no albedo", Frame(color=frame.color)),
                 (
-                    "the albedo is said to have no noise",
+                    "albedo and normals are said to have no noise",
                     dataclasses.replace(frame, clean_features=True),
                 ),
             )

@@ -47,7 +47,7 @@ def prefilter_stages(frame: Frame, spec: ModelSpec) -> list[Stage]:
     if frame.albedo is None:
         return [Stage(PREFILTER, False, "there is no albedo")]
     if frame.clean_features:
-        return [Stage(PREFILTER, False, "the albedo is said to have no noise")]
+        return [Stage(PREFILTER, False, "albedo and normals are said to have no noise")]
     what = "albedo and normals" if spec.prefilter.normal and frame.normal is not None else "albedo"
     return [Stage(PREFILTER, True, f"the {what} may have noise: {model}")]
 
