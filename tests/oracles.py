@@ -181,12 +181,11 @@ def kernel_pyramid(
         for image in (mean, np.moveaxis(sample, 0, -1))
     )
     light, held = np.zeros_like(padded[..., :3]), np.zeros(full)
-    # what filters compare and weigh by comes last, of the finest level weights of neighbours before
-    compared = []
-    for level, distances in enumerate(_filters_of_levels(options, levels)):
-        rest = len(weights[level]) - bool(distances) * options.filter_features - 2 * len(distances)
-        compared.append(weights[level][rest:])
-        weights[level] = weights[level][:rest]
+    # of the finest level what its filters compare and weigh by comes last, weights of neighbours
+    # before
+    filters = options.filter_features + 2 * len(options.finest_filters)
+    compared = weights[0][len(weights[0]) - filters :]
+    weights[0] = weights[0][: len(weights[0]) - filters]
     finest, extra = weights[0], 8 * len(options.finest_neighbours)
     weights[0] = finest[: len(finest) - extra]
     for y, x in np.ndindex(*full):
@@ -245,12 +244,12 @@ def kernel_pyramid(
                     shares.append(own[8 * (place - len(distances)) + index, y, x])
             blended[y, x] = np.average(choices, axis=0, weights=shares)
         result = blended
-        shown = exposure * result @ [0.2126, 0.7152, 0.0722]
-        less = 1 / np.minimum(1 + options.filter_tone * np.maximum(shown - 1, 0), 1e6)
-        for index, distance in enumerate(_filters_of_levels(options, levels)[level]):
-            features = np.log(compared[level][: options.filter_features])
-            pair = compared[level][options.filter_features + 2 * index :][:2] * less
-            result = _by_likeness(result, features, pair[0], pair[1], distance)
+    shown = exposure * result @ [0.2126, 0.7152, 0.0722]
+    less = 1 / np.minimum(1 + options.filter_tone * np.maximum(shown - 1, 0), 1e6)
+    for index, distance in enumerate(options.finest_filters):
+        features = np.log(compared[: options.filter_features])
+        pair = compared[options.filter_features + 2 * index :][:2] * less
+        result = _by_likeness(result, features, pair[0], pair[1], distance)
     albedo = albedo.astype(np.float64)
     for distance in options.albedo_filters:
         before = albedo.copy()
@@ -276,11 +275,6 @@ def kernel_pyramid(
             shares.append(weights[0][-10 + index, y, x] * min(1, own / other))
         resolved[y, x] = np.average(choices, axis=0, weights=shares)
     return resolved
-
-
-def _filters_of_levels(options: PyramidKernels, levels: int) -> list[tuple[int, ...]]:
-    given = [options.finest_filters, *options.coarser_filters]
-    return (given + [()] * levels)[:levels]
 
 
 def _by_likeness(

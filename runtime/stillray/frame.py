@@ -69,8 +69,7 @@ class Frame:
         infinities. Color is filtered as it is, so that it should be multiplied by it, as renderers
         give it.
     clean_features
-        Whether albedo and normal have no noise, of many samples or denoised before: they are then
-        taken as they are.
+        Whether albedo has no noise, of many samples or denoised before: it is then taken as it is.
 
     Raises
     ------

@@ -33,7 +33,6 @@ SMALLER = {
             "finest_neighbours": (2,),
             "finest_filters": (2, 1),
             "filter_features": 2,
-            "coarser_filters": ((2,),),
         },
     ),
     "kpyr-5s": (

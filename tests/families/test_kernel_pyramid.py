@@ -123,50 +123,6 @@ def test_filters_of_the_finest_level_equal_the_loop_oracle(height, width, distan
         np.testing.assert_allclose(got, expected, rtol=5e-6)
 
 
-@pytest.mark.parametrize("finest", [(), (2, 1)])
-@pytest.mark.parametrize("coarser", [((2, 1),), ((), (4, 2, 1)), ((1,), (9,))])
-@pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 1), (9, 14), (41, 18)])
-def test_filters_of_coarser_levels_equal_the_loop_oracle(height, width, coarser, finest):
-    options = dataclasses.replace(
-        OPTIONS, predicted=True, finest_filters=finest, filter_features=2,
-        filter_tone=0.3, coarser_filters=coarser,
-    )  # fmt: skip
-    inputs = draw(height, width, options=options)
-    expected = oracles.kernel_pyramid(*inputs, options, 0.4)
-    for strips in (Strips(1), Strips(3), Strips(1, pixels=64)):
-        got = filtered(*inputs, options, strips, 0.4)
-        np.testing.assert_allclose(got, expected, rtol=5e-6)
-
-
-def test_layers_filtered_at_all_levels_as_the_color_was_add_up_to_it():
-    spec = load("kpyr-5-still")
-    decoder = dataclasses.replace(
-        spec.decoder, coarser_filters=((2, 1), (1,)), filter_tone=0.5, resolve_tone=1.0
-    )
-    network = dataclasses.replace(
-        spec.network, widths=(8,) * LEVELS, encoder_blocks=(0,) * LEVELS,
-        decoder_blocks=(1,) * (LEVELS - 1), concatenate=(False,) * (LEVELS - 1),
-    )  # fmt: skip
-    model = pyramid.KernelPyramidModel(dataclasses.replace(spec, decoder=decoder, network=network))
-    mean, sample, albedo, _, logits = draw(24, 36, options=decoder)
-    part = np.random.default_rng(1).uniform(0, 1, (24, 36, 3)).astype(np.float32)
-
-    def light(share):
-        own, new = mean.copy(), sample.copy()
-        own[..., :3] *= share
-        new[:3] *= np.moveaxis(share, -1, 0)
-        return Filterable(mean=own, sample=new, remodulation_albedo=albedo, exposure=0.7)
-
-    whole = light(np.ones_like(part))
-    frozen = model.frozen(whole, logits, Strips(1))
-    wanted = model.reconstruct(whole, logits, Strips(1), {})
-    got = [model.reconstruct(light(share), frozen, Strips(3), {}) for share in (part, 1 - part)]
-    np.testing.assert_allclose(sum(got), wanted, rtol=2e-5)
-    # weights of their own they would not: bright light of one layer is less bright alone
-    alone = [model.reconstruct(light(share), logits, Strips(1), {}) for share in (part, 1 - part)]
-    assert np.abs(sum(alone) / wanted - 1).max() > 0.01
-
-
 @pytest.mark.parametrize("distances", [(1,), (4, 2), (30, 3, 1)])
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 1), (9, 14), (41, 18)])
 def test_an_averaged_albedo_equals_the_loop_oracle(height, width, distances):

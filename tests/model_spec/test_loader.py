@@ -196,34 +196,3 @@ def test_filters_and_their_features_belong_together(filters, features, message):
     data["decoder"] |= {"finest_filters": filters, "filter_features": features}
     with pytest.raises(SpecError, match=message):
         from_json(json.dumps(data))
-
-
-@pytest.mark.parametrize(
-    ("filters", "message"),
-    [
-        ([[2], [2, 0]], r"decoder.coarser_filters .*got 0"),
-        ([[64]], r"decoder.coarser_filters .*got 64"),
-        ([1, 2], r"decoder.coarser_filters must be a list, got 1"),
-        ([[1]] * 5, r"length of decoder.coarser_filters must be in \[0, 4\], got 5"),
-    ],
-)
-def test_filters_of_coarser_levels_are_lists_of_distances(filters, message):
-    data = json.loads(load("kpyr-5").to_json())
-    data["decoder"]["coarser_filters"] = filters
-    with pytest.raises(SpecError, match=message):
-        from_json(json.dumps(data))
-
-
-def test_filters_of_coarser_levels_survive_json():
-    data = json.loads(load("kpyr-5").to_json())
-    data["decoder"]["coarser_filters"] = [[2, 1], [], [4]]
-    spec = from_json(json.dumps(data))
-    assert spec.decoder.coarser_filters == ((2, 1), (), (4,))
-    assert from_json(spec.to_json()) == spec
-
-
-def test_normals_are_not_filtered_by_a_model_that_is_not_named():
-    data = json.loads(load("kpyr-5").to_json())
-    data["prefilter"] = {"albedo": "", "normal": True}
-    with pytest.raises(SpecError, match=r"prefilter\.normal must be false without a model in"):
-        from_json(json.dumps(data))

@@ -16,10 +16,9 @@ from stillray.model_spec.network_outputs import network_outputs
 @pytest.mark.parametrize("kernel_sizes", [(3,), (3, 5, 7)])
 @pytest.mark.parametrize("distances", [(), (1, 3)])
 @pytest.mark.parametrize("filters", [(), (4, 1)])
-@pytest.mark.parametrize("coarser", [(), ((2, 1), (), (1,))])
 @pytest.mark.parametrize("name", ["kpyr-5", "kpyr-5s"])
 def test_a_pyramid_gives_the_logits_of_every_level(
-    name, coarser, filters, distances, kernel_sizes, finest, predicted
+    name, filters, distances, kernel_sizes, finest, predicted
 ):
     spec = load(name)
     decoder = replace(
@@ -29,8 +28,7 @@ def test_a_pyramid_gives_the_logits_of_every_level(
         predicted=predicted,
         finest_neighbours=distances,
         finest_filters=filters,
-        filter_features=5 * bool(filters or coarser),
-        coarser_filters=coarser,
+        filter_features=5 * bool(filters),
     )
     spec = replace(spec, decoder=decoder)
     levels, block = spec.network.resolutions, spec.network.block

@@ -24,15 +24,7 @@ PALE, DARK = np.float32([0.8, 0.75, 0.7]), np.float32([0.08, 0.12, 0.2])
 
 @pytest.fixture(scope="module")
 def prefilter():
-    made = Prefilter(Prefilters(albedo="kpyr-5s-albedo"), 1, None, "float32")
-    yield made
-    made.close()
-
-
-@pytest.fixture(scope="module")
-def of_both():
-    """The same model, which filters normals as well."""
-    made = Prefilter(Prefilters(albedo="kpyr-5s-albedo", normal=True), 1, None, "float32")
+    made = Prefilter("kpyr-5s-albedo", 1, None, "float32")
     yield made
     made.close()
 
@@ -73,69 +65,6 @@ def test_most_of_the_noise_of_an_albedo_out_of_focus_goes(rng, prefilter, contex
         return np.sqrt(np.mean((albedo - mean)[8:-8, 34:62] ** 2))
 
     assert error(found.albedo) < left * error(frame.albedo)
-
-
-@pytest.mark.parametrize(("samples", "left"), [(1, 0.5), (4, 0.5), (16, 0.7)])
-def test_most_of_the_noise_of_normals_out_of_focus_goes(
-    rng, prefilter, of_both, context, samples, left
-):
-    frame, _ = out_of_focus(rng, samples)
-    found = of_both.denoised(frame, context, None)
-    share = np.clip((np.arange(96) - 48) / 32 + 0.5, 0, 1)[:, None]
-    mean = share * np.float32([0, 1, 0]) + (1 - share) * np.float32([0, 0, 1])
-
-    def error(normal):
-        return np.sqrt(np.mean((normal - mean)[8:-8, 34:62] ** 2))
-
-    assert error(found.normal) < left * error(frame.normal)
-    np.testing.assert_array_equal(found.albedo, prefilter.denoised(frame, context, None).albedo)
-
-
-def test_normals_where_albedo_is_one_are_filtered_along_edges_that_depth_and_they_tell(
-    rng, of_both, context
-):
-    """A white box before a white wall, whose normals are noisy; where albedo does not say that
-    they are noise, little of it goes."""
-    height, width = 64, 96
-    box = (np.arange(width) < 48)[None, :, None]
-    normal = np.where(box, np.float32([0.6, 0, 0.8]), np.float32([0, 0, 1]))
-    normal = np.broadcast_to(normal, (height, width, 3)).astype(np.float32)
-    noisy = normal + rng.normal(0, 0.05, normal.shape).astype(np.float32)
-    frame = Frame(
-        color=np.full_like(normal, 0.5), albedo=np.full_like(normal, 0.8), normal=noisy,
-        depth=np.broadcast_to(np.where(box[..., 0], 2.0, 6.0), (height, width)), samples=1,
-    )  # fmt: skip
-    found = of_both.denoised(frame, context, None).normal
-    assert np.abs(found - normal)[:, 51:].mean() < 0.9 * np.abs(noisy - normal)[:, 51:].mean()
-    # the edge stays where it is
-    assert np.abs(found - normal)[:, 45:51].max() < 0.3
-
-
-def test_normals_of_many_samples_stay_as_they_are(rng, of_both, context):
-    """Where a filter would take relief for noise: what samples say bounds it."""
-    normal = rng.normal(0, 0.3, (48, 64, 3)).astype(np.float32) + np.float32([0, 0, 1])
-    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
-    white = np.full_like(normal, 0.8)
-    frame = Frame(color=white, albedo=white, normal=normal, depth=np.ones((48, 64)), samples=4096)
-    found = of_both.denoised(frame, context, None).normal
-    span = normal.max() - normal.min()
-    assert np.abs(found - normal).max() < 2 * 0.5 / 64 * span + 1e-3
-
-
-def test_broken_normals_are_filtered_repaired(rng, of_both, context):
-    frame, _ = out_of_focus(rng, 2)
-    normal = frame.normal.copy()
-    normal[3, 5], normal[20, 40] = np.nan, (np.inf, -7, 3)
-    found = of_both.denoised(dataclasses.replace(frame, normal=normal), context, None).normal
-    assert np.isfinite(found).all()
-    assert np.abs(found).max() <= 1 + 1e-5
-
-
-def test_a_frame_without_normals_has_its_albedo_denoised_alone(rng, prefilter, of_both, context):
-    frame = dataclasses.replace(out_of_focus(rng, 2)[0], normal=None)
-    found = of_both.denoised(frame, context, None)
-    assert found.normal is None
-    np.testing.assert_array_equal(found.albedo, prefilter.denoised(frame, context, None).albedo)
 
 
 def test_an_albedo_without_noise_keeps_its_texture(rng, prefilter, context):
@@ -216,10 +145,10 @@ def test_stages_say_whether_and_why(rng):
         told = {
             reason: denoiser.stages(given)[0]
             for reason, given in (
-                ("the albedo and normals may have noise: kpyr-5s-albedo", frame),
+                ("the albedo may have noise: kpyr-5s-albedo", frame),
                 ("there is no albedo", Frame(color=frame.color)),
                 (
-                    "albedo and normals are said to have no noise",
+                    "the albedo is said to have no noise",
                     dataclasses.replace(frame, clean_features=True),
                 ),
             )
@@ -243,9 +172,9 @@ def test_what_is_said_of_a_broken_albedo_is_what_runs(rng, broken):
     assert "repair" not in said
 
 
-def test_tiles_give_what_the_whole_frame_gives(monkeypatch, of_both, context):
+def test_tiles_give_what_the_whole_frame_gives(monkeypatch, prefilter, context):
     frame = make_frame(300, 420, 1)
-    whole = of_both.denoised(frame, context, None)
+    whole = prefilter.denoised(frame, context, None).albedo
     plans = []
 
     def plan(shape, channels, traits, max_memory, name):
@@ -253,10 +182,9 @@ def test_tiles_give_what_the_whole_frame_gives(monkeypatch, of_both, context):
         return plans[-1]
 
     monkeypatch.setattr(stillray.pipeline.plan, "plan_tiles", plan)
-    tiles = of_both.denoised(frame, context, 1)
+    tiles = prefilter.denoised(frame, context, 1).albedo
     assert len(plans[0]) > 2
-    np.testing.assert_allclose(tiles.albedo, whole.albedo, atol=2e-3)
-    np.testing.assert_allclose(tiles.normal, whole.normal, atol=4e-3)
+    np.testing.assert_allclose(tiles, whole, atol=2e-3)
 
 
 def test_a_frame_can_be_ended_while_its_albedo_is_denoised():
@@ -286,12 +214,4 @@ def test_a_prefilter_that_is_not_there_is_named():
     info = find_model(MODEL)
     spec = dataclasses.replace(info.spec, prefilter=Prefilters(albedo="nothing"))
     with pytest.raises(InputError, match="nothing"):
-        stillray.Denoiser(dataclasses.replace(info, spec=spec))
-
-
-def test_a_prefilter_that_cannot_filter_normals_is_named():
-    info = find_model(MODEL)
-    first = Prefilters(albedo="nbg-7x3", normal=True)
-    spec = dataclasses.replace(info.spec, prefilter=first)
-    with pytest.raises(InputError, match=r"prefilter\.normal must be false .*got nbg-7x3"):
         stillray.Denoiser(dataclasses.replace(info, spec=spec))

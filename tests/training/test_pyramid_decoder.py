@@ -30,19 +30,15 @@ def _nchw(image):
 @pytest.mark.parametrize("predicted", [True, False])
 @pytest.mark.parametrize("distances", [(), (1, 2)])
 @pytest.mark.parametrize(("filters", "tone"), [((), 0.0), ((4, 1), 0.0), ((4, 1), 0.5)])
-@pytest.mark.parametrize("coarser", [(), ((2, 1), (), (1,))])
 @pytest.mark.parametrize("averages", [(), (4, 2)])
-def test_the_twin_equals_the_runtime(
-    finest, predicted, distances, filters, tone, coarser, averages
-):
+def test_the_twin_equals_the_runtime(finest, predicted, distances, filters, tone, averages):
     options = dataclasses.replace(
         OPTIONS,
         finest_kernels=finest,
         predicted=predicted,
         finest_neighbours=distances,
         finest_filters=filters,
-        filter_features=3 * bool(filters or coarser),
-        coarser_filters=coarser,
+        filter_features=3 * bool(filters),
         filter_tone=tone,
         albedo_filters=averages,
     )
@@ -62,28 +58,3 @@ def test_the_twin_equals_the_runtime(
     tone = torch.full((1, 1, 1, 1), options.resolve_tone * 0.3)
     image = resolve(image, weights, before[:, :3], before[:, 3:], tone)
     np.testing.assert_allclose(image[0].permute(1, 2, 0), wanted, rtol=2e-5)
-
-
-def test_the_twin_filters_further_channels_as_the_runtime_does():
-    options = dataclasses.replace(
-        OPTIONS, finest_filters=(2,), coarser_filters=((1,),), filter_features=3
-    )
-    mean, _, _, _, logits = draw(16, 24, options=options)
-    more = np.random.default_rng(5).normal(size=(16, 24, 3)).astype(np.float32)
-    mean = np.concatenate([mean[..., :3], more, mean[..., 3:]], 2)
-    wanted = filter_pyramid(Filterable(mean=mean, exposure=0.3), logits, options, Strips(1))
-    alone = Filterable(mean=np.delete(mean, np.s_[3:6], 2), exposure=0.3)
-    # beside others light is filtered as it is alone
-    np.testing.assert_array_equal(
-        wanted[..., :3], filter_pyramid(alone, logits, options, Strips(1))
-    )
-    parts = level_parts([torch.from_numpy(level)[None] for level in logits], options)
-    light, samples = _nchw(mean)[:, :6], _nchw(mean)[:, 6:]
-    exposure = torch.full((1, 1, 1, 1), 0.3)
-    # without a sample of its own a frame holds all of its samples in the mean
-    image = kernel_pyramid(light, samples, parts, options, exposure=exposure)
-    nothing = torch.zeros(1, 3, 16, 24)
-    tone = torch.full((1, 1, 1, 1), options.resolve_tone * 0.3)
-    weights = parts[0].resolve
-    image = resolve(image, weights, torch.zeros_like(image), nothing[:, :1], tone)
-    np.testing.assert_allclose(image[0].permute(1, 2, 0), wanted, rtol=2e-4, atol=1e-5)

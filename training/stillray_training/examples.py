@@ -118,8 +118,8 @@ class Runtime:
 
     def __init__(self, spec: ModelSpec, strips: Strips) -> None:
         self.spec, self._strips = spec, strips
-        first = spec.prefilter
-        self._prefilter = Prefilter(first, 1, None, "float32") if first.albedo else None
+        name = spec.prefilter.albedo
+        self._prefilter = Prefilter(name, 1, None, "float32") if name else None
 
     def close(self) -> None:
         """Close the network of its prefilter, if it has one."""

@@ -59,7 +59,7 @@ class ShotOptions:
     filter_spread
         Standard deviation of the renderer's pixel filter, in pixels; None for what the files say.
     clean_features
-        Whether albedo and normals of the frames have no noise, as in `stillray.Frame`.
+        Whether the albedo of the frames has no noise, as in `stillray.Frame`.
     aovs
         Layers of light to filter as the color; empty for all that are known, None for none.
     only_color

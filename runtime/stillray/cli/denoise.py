@@ -96,7 +96,7 @@ def denoise(
         bool,
         typer.Option(
             "--clean-features",
-            help="Albedo and normals have no noise, as of many samples: take them as they are.",
+            help="Albedo has no noise, as of many samples: take it as it is.",
         ),
     ] = False,
     aovs: Annotated[

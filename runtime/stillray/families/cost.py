@@ -20,35 +20,31 @@ def fused_kernels_cost(kernels: int) -> tuple[float, float]:
     return kernels * one + 3, 2 * kernels + 4 + 3
 
 
-def kernel_pyramid_cost(
-    levels: int, options: PyramidKernels, channels: int = 3
-) -> tuple[float, float]:
-    """The same of a kernel pyramid, which may filter further channels beside the light."""
-    operations, planes = 0.0, 3.0 + channels + 4.0  # albedo, image, the previous output
+def kernel_pyramid_cost(levels: int, options: PyramidKernels) -> tuple[float, float]:
+    """The same of a kernel pyramid."""
+    operations, planes = 0.0, 3.0 + 3.0 + 4.0  # albedo, image, the previous output
     for level in range(levels):
         share = 0.25**level
         logits = level_logits(level, levels, options)
         maps = len(options.kernel_sizes) if level or options.finest_kernels else 0
         # kernels as above; itself and the coarser level; what is pooled; four pixels for one, with
         # their shares and of each channel three products
-        kernels = maps * (1 + channels + (channels + 1) * WINDOW_SUM + 1 + channels * 2 + 1)
-        doubled = 4 * (6 + channels * 5) if level else 0
-        neighbours = 8 * (1 + channels * 2) * len(level_layout(level, levels, options).distances)
-        pooled, blended = 4 * channels, 2 * (channels + 1)
-        operations += share * (logits * EXP + kernels + pooled + blended + doubled + neighbours)
-        planes += share * (logits + 2 * (channels + 1))  # light read, the level's result written
-        filtered, moved = gaussian_cost(channels, options.filter_features)
-        passes = len(options.filters(level))
-        operations += share * passes * filtered
-        planes += share * passes * (moved + 1)  # a filter has a weight of the pixel itself, too
+        kernels = maps * (1 + 3 + 4 * WINDOW_SUM + 1 + 3 * 2 + 1)
+        doubled = 4 * (6 + 3 * 5) if level else 0
+        neighbours = 8 * (1 + 3 * 2) * len(level_layout(level, levels, options).distances)
+        operations += share * (logits * EXP + kernels + 3 * 4 + 4 * 2 + doubled + neighbours)
+        planes += share * (logits + 4 + 4)  # light read and the level's result written
+    for _ in options.finest_filters:
+        filtered, moved = gaussian_cost(3, options.filter_features)
+        operations += filtered
+        planes += moved + 1  # a filter has a weight of the pixel itself, too
     if options.filter_tone:  # a share by luminance, then two products with it a filter
         operations += 3 * 2 + 2 + EXP + 2 * len(options.finest_filters)
         planes += 1
     # eight weights squared, three channels
     operations += len(options.albedo_filters) * (8 * (EXP + 2 + 3 * 2) + 3)
     planes += len(options.albedo_filters) * (8 + 3 + 3)
-    # eight neighbours and the past; normalised, modulated
-    resolve = 9 * (1 + channels * 2) + channels + 3
+    resolve = 9 * (1 + 3 * 2) + 3 + 3  # eight neighbours and the past; normalised, modulated
     return operations + resolve, planes
 
 

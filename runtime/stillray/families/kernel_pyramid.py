@@ -3,7 +3,7 @@
 differs: Fan et al. 2021, section 5.2, blend a U-Net's resolutions by eq. 7. Here the weights of a
 coarser level come from the finer one, the blend is one softmax over what a pixel can take (itself,
 its kernels, its neighbours, the coarser level, which is doubled by shares of the network's own),
-levels are filtered along what looks alike (see `stillray.families.level_filters`), and
+the finest level is filtered along what looks alike (see `stillray.families.finest_filters`), and
 the re-modulated result is resolved with its neighbours and the previous output, which smooths
 edges as supersampling would and holds the picture still. Every step is a convex combination: no
 light is invented.
@@ -11,34 +11,31 @@ light is invented.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from stillray.arrays.extend import extended
 from stillray.arrays.strips import Strips, planes_of
-from stillray.arrays.tiles import Tile, tiles_of
 from stillray.families.albedo_average import averaged
-from stillray.families.contract import Context
 from stillray.families.cost import kernel_pyramid_cost
+from stillray.families.finest_filters import filter_finest
 from stillray.families.gaussian import share_of_bright
 from stillray.families.layer_filter import Outputs
-from stillray.families.level_filters import Share, filter_level
 from stillray.families.logit_maps import LogitMaps, holds_nan, without_nan
-from stillray.families.pyramid_level import Level, pooled, repeat_border
+from stillray.families.pyramid_level import Level, pooled
 from stillray.families.pyramid_logits import NEIGHBOURS, level_layout, seen_from
 from stillray.families.pyramid_resolve import Finest, tone
 from stillray.families.pyramid_upsample import Doubled
-from stillray.families.temporal_kernels import KernelPlan, Looks, TemporalKernels, crop
+from stillray.families.temporal_kernels import Looks, TemporalKernels
 from stillray.families.views import View
 from stillray.model_spec.decoders import PyramidKernels
 from stillray.model_spec.loader import ModelSpec
 from stillray.model_spec.networks import PyramidNetwork
 from stillray.models.steps import InSteps, Output
-from stillray.stages.plan import Plan
-from stillray.stages.state import Filterable, Prepared, filterable
+from stillray.stages.state import Filterable
 from stillray.timing import timed
 
 
@@ -66,14 +63,14 @@ class Brightness:
 
     Attributes
     ----------
-    shares : tuple of (H, W) float32 or None
-        What pixels weigh in the filters of each level, finest first, see `share_of_bright`; of the
-        sizes of the levels. None of a level where brightness does not count; empty: of all.
+    shares : (H, W) float32 or None
+        What pixels weigh in the finest level's filters, see `share_of_bright`; of the size that
+        the levels divide. None where brightness does not count there.
     toned : (h + 2, w + 2) float32 or None
         What tells brighter neighbours in the resolve; None where they are not told.
     """
 
-    shares: tuple[np.ndarray | None, ...] = ()
+    shares: np.ndarray | None = None
     toned: np.ndarray | None = None
 
 
@@ -92,16 +89,12 @@ class KernelPyramidModel(TemporalKernels):
         self._levels = spec.network.resolutions
         self.method = f"kernels at {self._levels} resolutions, resolved with the last output"
         self.cost = kernel_pyramid_cost(self._levels, spec.decoder)
-        #: The same of `with_normals`.
-        self.cost_with_normals = kernel_pyramid_cost(self._levels, spec.decoder, channels=6)
         self.ensemble = spec.decoder.ensemble
         # doubling looks into the neighbouring cell: 1.5 cells of every level above the finest,
-        # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, what levels are
-        # filtered by one after the other, and the resolve
+        # 1.5 (2 + 4 + ... + coarsest); then the largest kernel of the coarsest, and the resolve
         radii = (size // 2 for size in spec.decoder.kernel_sizes)
         radius = max(*radii, *spec.decoder.finest_neighbours, int(spec.decoder.predicted))
-        far = (sum(spec.decoder.filters(level)) << level for level in range(self._levels))
-        filters = max(sum(far), sum(spec.decoder.albedo_filters))
+        filters = max(sum(spec.decoder.finest_filters), sum(spec.decoder.albedo_filters))
         looks = Looks(
             reach=3 * (coarsest - 1) + radius * coarsest + filters + 1,
             receptive_field=receptive_field(spec.network),
@@ -144,42 +137,6 @@ class KernelPyramidModel(TemporalKernels):
             found.append(InSteps(seen, given.steps) if isinstance(given, InSteps) else seen)
         return found
 
-    def with_normals(
-        self, plan: Plan, context: Context
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The picture of a frame without a past, and its normals filtered by the same weights.
-
-        Parameters
-        ----------
-        plan
-            Of a frame with normals.
-        context
-            As `step` takes it.
-
-        Returns
-        -------
-        (h, w, 3), (h, w, 3), (h, w, 3) float32
-            The picture before anything is put back into it; the normals, repaired where they were
-            no numbers or out of their range; and means of them, not of length 1.
-        """
-        assert isinstance(plan, KernelPlan)
-        prepared, _ = self.prepare(plan, context)
-        assert prepared.normal is not None
-        height, width = shape = prepared.luminance.shape
-        image, normals = (np.empty((*shape, 3), np.float32) for _ in range(2))
-        whole = tiles_of((height, width), max(shape), 0, 1)
-        for tile in plan.tiles or whole:
-            part = crop(prepared, tile, context.strips.watch) if plan.tiles else prepared
-            found = self.picture(part, _with_normals_of(part, context), context)[tile.within]
-
-            def take(rows: slice, found: np.ndarray = found, tile: Tile = tile) -> None:
-                six = cv2.split(found[rows])
-                for at, out in ((0, image), (3, normals)):
-                    out[tile.inner][rows] = cv2.merge(six[at : at + 3])
-
-            context.strips.run(take, *found.shape[:2])
-        return image, prepared.normal, normals
-
     def frozen(self, light: Filterable, outputs: Outputs, strips: Strips) -> Outputs:
         """Outputs by which other layers are filtered as the frame's light was.
 
@@ -195,25 +152,8 @@ class KernelPyramidModel(TemporalKernels):
             return outputs
         outputs = without_nan(outputs)
         finest = _finest(light, outputs, self._options, strips)
-        shares = [None if share is None else share.copy() for share in finest.shares]
-        brightness = Brightness(shares=tuple(shares), toned=finest.all_toned(light, strips))
-        return [*outputs, brightness]
-
-
-def _with_normals_of(prepared: Prepared, context: Context) -> Filterable:
-    """What kernels look at of a frame without a past, its normals after its light."""
-    light, normal = filterable(prepared, None), prepared.normal
-    assert normal is not None
-    height, width = light.mean.shape[:2]
-    mean = context.workspace.array("light and normals", (height, width, 7))
-
-    def pack(rows: slice) -> None:
-        parts = [*cv2.split(light.mean[rows]), *cv2.split(normal[rows])]
-        cv2.merge([*parts[:3], *parts[4:], parts[3]], dst=mean[rows])
-
-    context.strips.run(pack, height, width)
-    # the sample of a frame without a past is its mean
-    return replace(light, mean=mean, sample=None)
+        shares = None if finest.shares is None else finest.shares.copy()
+        return [*outputs, Brightness(shares=shares, toned=finest.all_toned(light, strips))]
 
 
 def filter_pyramid(
@@ -242,10 +182,9 @@ def filter_pyramid(
 
     Returns
     -------
-    (h, w, c) float32
+    (h, w, 3) float32
         Radiance: for every pixel a convex combination of the irradiance around it, accumulated
-        and new, times the divisors of its 3x3 neighbours, and of the previous output. Where the
-        light has further channels, so has it.
+        and new, times the divisors of its 3x3 neighbours, and of the previous output.
     """
     image = _filtered(light, logits, options, strips, brightness)
     # A logit that is not a number says nothing: 0. It shows in the image, which is a fifth of the
@@ -263,7 +202,7 @@ def _filtered(
     brightness: Brightness,
 ) -> np.ndarray:
     height, width = light.mean.shape[:2]
-    image = np.empty((height, width, light.mean.shape[2] - 1), np.float32)
+    image = np.empty((height, width, 3), np.float32)
     finest = _finest(light, logits, options, strips, brightness.shares)
 
     def work(rows: slice) -> None:
@@ -278,7 +217,7 @@ def _finest(
     logits: Sequence[Output],
     options: PyramidKernels,
     strips: Strips,
-    frozen: Sequence[np.ndarray | None] = (),
+    shares: np.ndarray | None = None,
 ) -> Finest:
     """The finest level with all that it is blended of, filtered where the model does that."""
     levels = len(logits)
@@ -294,20 +233,17 @@ def _finest(
         pool = level_layout(level, levels, options).pool
         # levels lie in the workspace of this thread from frame to frame
         coarse = strips.workspace.array(
-            f"pyramid {level + 1}",
-            (len(pyramid[-1]), *(size // 2 for size in pyramid[-1].shape[1:])),
+            f"pyramid {level + 1}", (4, *(size // 2 for size in pyramid[-1].shape[1:]))
         )
         pooled(pyramid[-1], maps[level], pool, strips, coarse)
         pyramid.append(coarse)
     coarser: Doubled | None = None
-    shares: list[np.ndarray | None] = []
     for level in reversed(range(1, levels)):
         layout = level_layout(level, levels, options)
-        own = Level(pyramid[level], coarser, maps[level], layout, options)
-        share = _share(frozen[level] if frozen else None, light.exposure, options.filter_tone)
-        blended, weighed = _filtered_level(own, level, strips, share)
+        padded = (3, *(size + 2 for size in pyramid[level].shape[1:]))
+        blended = strips.workspace.array(f"blended {level}", padded)
+        Level(pyramid[level], coarser, maps[level], layout, options).blended(strips, blended)
         coarser = Doubled(blended, maps[level], layout.double)
-        shares.insert(0, weighed)
     top = Level(pyramid[0], coarser, maps[0], finest, options)
     albedo: np.ndarray | None = None
     if options.albedo_filters and light.remodulation_albedo is not None:
@@ -316,32 +252,20 @@ def _finest(
             light.remodulation_albedo, maps[0], neighbours, options.albedo_filters, strips
         )
     if not finest.filter_distances:
-        return Finest(top, None, (None, *shares), albedo)
-    share = _share(frozen[0] if frozen else None, light.exposure, options.filter_tone)
-    filtered, weighed = filter_level(top, 0, strips, share)
-    return Finest(top, filtered, (weighed, *shares), albedo)
+        return Finest(top, albedo=albedo)
+    size = pyramid[0].shape[1:]
+    filtered, shares = filter_finest(
+        lambda rows, out: top.blend(rows, out, strips.workspace),
+        (size[0], size[1]), maps[0], finest, strips,
+        _share(shares, light.exposure, options.filter_tone),
+    )  # fmt: skip
+    return Finest(top, filtered, shares, albedo)
 
 
-def _filtered_level(
-    own: Level, level: int, strips: Strips, share: Share | None
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """A coarser level, blended and filtered, with its border repeated: ``(c, h + 2, w + 2)``.
-
-    And what its pixels weighed in the filters, see `filter_level`.
-    """
-    height, width = own.planes.shape[1:]
-    padded = (len(own.planes) - 1, height + 2, width + 2)
-    result = strips.workspace.array(f"blended {level}", padded)
-    if not own.layout.filter_distances:
-        own.blended(strips, result)
-        return result, None
-    result[:, 1:-1, 1:-1], weighed = filter_level(own, level, strips, share)
-    repeat_border(result, top=True, bottom=True)
-    return result, weighed
-
-
-def _share(shares: np.ndarray | None, exposure: float, tone: float) -> Share | None:
-    """How a level's filters learn what bright pixels weigh, see `filter_level`."""
+def _share(
+    shares: np.ndarray | None, exposure: float, tone: float
+) -> Callable[[slice, np.ndarray, np.ndarray], None] | None:
+    """How the finest level's filters learn what bright pixels weigh, see `filter_finest`."""
     if not tone:
         return None
 
@@ -361,9 +285,9 @@ def _whole_blocks(
     mean, sample = light.mean, light.sample
     if mean.shape[:2] == size:
         return mean, sample
-    mean = extended(mean, strips.workspace.array("extended", (*size, mean.shape[2])), strips)
+    mean = extended(mean, strips.workspace.array("extended", (*size, 4)), strips)
     if sample is not None:
-        planes = strips.workspace.array("extended sample", (len(sample), *size))
+        planes = strips.workspace.array("extended sample", (4, *size))
         for plane, target in zip(sample, planes, strict=True):
             extended(plane, target, strips)
         sample = planes
@@ -377,17 +301,17 @@ def _blended_with_sample(
     sample_blend: slice,
     strips: Strips,
 ) -> np.ndarray:
-    """Light and samples as ``(c + 1, h, w)``: what was accumulated, with more of the new sample.
+    """Light and samples as ``(4, h, w)``: what was accumulated, with more of the new sample.
 
     A past that no longer holds (a mirror's picture moves otherwise than the mirror, a shadow
     passes over a surface that stays) is known to the network, not to the geometry.
     """
-    planes = strips.workspace.array("pyramid 0", (mean.shape[2], *mean.shape[:2]))
+    planes = strips.workspace.array("pyramid 0", (4, *mean.shape[:2]))
 
     def work(rows: slice) -> None:
         workspace = strips.workspace
         shape = (rows.stop - rows.start, mean.shape[1])
-        past = planes_of(mean[rows], out=workspace.array("mean", (len(planes), *shape)))
+        past = planes_of(mean[rows], out=workspace.array("mean", (4, *shape)))
         if sample is None:
             planes[:, rows] = past
             return
@@ -395,13 +319,13 @@ def _blended_with_sample(
         more, total = workspace.array("more", shape), workspace.array("total", shape)
         logits.weight(sample_blend.start, rows, more)
         held = np.add(more, 1, out=workspace.array("held", shape))
-        more *= new[-1]
-        np.add(past[-1], more, out=total)
-        np.divide(total, held, out=planes[-1, rows])
+        more *= new[3]
+        np.add(past[3], more, out=total)
+        np.divide(total, held, out=planes[3, rows])
         more /= total
-        rest = np.divide(past[-1], total, out=total)
+        rest = np.divide(past[3], total, out=total)
         # two products, since a difference would cancel where a firefly meets a dark past
-        for light, own_sample, target in zip(past, new, planes[:-1, rows], strict=False):
+        for light, own_sample, target in zip(past, new, planes[:3, rows], strict=False):
             np.multiply(light, rest, out=target)
             cv2.accumulateProduct(own_sample, more, target)
 

@@ -24,9 +24,8 @@ class Level:
 
     Attributes
     ----------
-    planes : (c + 1, h, w) float32
-        Light and samples of the whole level; of more than three channels the further ones are
-        filtered as the light is.
+    planes : (4, h, w) float32
+        Light and samples of the whole level.
     coarser
         The whole coarser level; None at the coarsest.
     logits
@@ -42,14 +41,14 @@ class Level:
     options: PyramidKernels
 
     def blended(self, strips: Strips, result: np.ndarray) -> None:
-        """The whole level with its border repeated, into ``(c, h + 2, w + 2)``."""
+        """The whole level with its border repeated, into ``(3, h + 2, w + 2)``."""
         height, width = self.planes.shape[1:]
         inner = result[:, 1:-1, 1:-1]
         strips.run(lambda rows: self.blend(rows, inner[:, rows], strips.workspace), height, width)
         repeat_border(result, top=True, bottom=True)
 
     def blend(self, rows: slice, out: np.ndarray, workspace: Workspace) -> None:
-        """Rows of the level, ``(c, rows, w)``: itself, its kernels and the coarser level."""
+        """Rows of the level, ``(3, rows, w)``: itself, its kernels and the coarser level."""
         height, width = self.planes.shape[1:]
         shape = (rows.stop - rows.start, width)
         at = self.layout.blend
@@ -57,14 +56,14 @@ class Level:
         self.logits.weights(at, rows, shares)
         others = list(shares)
         if self.coarser is None:  # itself at logit 0, then the kernels
-            light = workspace.array("light", (len(self.planes) - 1, *shape))
-            np.copyto(light, self.planes[:-1, rows])
+            light = workspace.array("light", (3, *shape))
+            np.copyto(light, self.planes[:3, rows])
         else:  # the coarser level at logit 0, then itself, then the kernels
             light = self.coarser.rows(rows, workspace)
             own = others.pop(0)
             # a sample that weighs less than one counts as little for its own pixel, see
             # docs/decisions.md: else a lone firefly of a first frame would lift it
-            own *= at_most(self.planes[-1, rows], 1, out=workspace.array("sample_weight", shape))
+            own *= at_most(self.planes[3, rows], 1, out=workspace.array("sample_weight", shape))
             for plane, sums in zip(self.planes, light, strict=False):
                 cv2.accumulateProduct(plane[rows], own, sums)
         normal = workspace.array("normal", shape)
@@ -79,7 +78,7 @@ class Level:
                 workspace.array(name, strip) for name in ("weight", "product", "box")
             )
             self.logits.weight(self.layout.importance.start + index, near, weight)
-            weight *= self.planes[-1, near]
+            weight *= self.planes[3, near]
             share /= box_means(weight, size, box)[inner]
             for plane, sums in zip(self.planes, light, strict=False):
                 np.multiply(weight, plane[near], out=product)
@@ -98,7 +97,7 @@ class Level:
         for weight in self.logits.weights(at, rows, weights):
             normal += weight
         margin, count = max(distances), len(NEIGHBOURS)
-        padded = with_margin(self.planes[:-1], rows, margin, workspace)
+        padded = with_margin(self.planes[:3], rows, margin, workspace)
         for index, distance in enumerate(distances):
             crop = slice(margin - distance, distance - margin or None)
             near = padded[:, crop, crop]
@@ -112,7 +111,7 @@ def pooled(
     strips: Strips,
     coarse: np.ndarray,
 ) -> None:
-    """The next coarser level of ``(c + 1, h, w)`` light and samples: weighted means of blocks."""
+    """The next coarser level of ``(4, h, w)`` light and samples: weighted means of 2x2 blocks."""
     height, width = coarse.shape[1:]
 
     def work(rows: slice) -> None:
@@ -122,11 +121,11 @@ def pooled(
         weight, product = workspace.array("weight", shape), workspace.array("product", shape)
         logits.weight(pool.start, source, weight)
         total = halve(weight)
-        weight *= fine[-1, source]
+        weight *= fine[3, source]
         held = halve(weight)
-        np.divide(held, total, out=coarse[-1, rows])
+        np.divide(held, total, out=coarse[3, rows])
         np.reciprocal(held, out=held)
-        for channel in range(len(fine) - 1):
+        for channel in range(3):
             np.multiply(weight, fine[channel, source], out=product)
             np.multiply(halve(product), held, out=coarse[channel, rows])
 
@@ -136,15 +135,15 @@ def pooled(
 def add_neighbours(
     padded: np.ndarray, weights: np.ndarray, sums: np.ndarray, distance: int = 1
 ) -> None:
-    """Add the eight neighbours, each by its weight, to ``(c, h, w)``.
+    """Add the eight neighbours, each by its weight, to ``(3, h, w)``.
 
     Parameters
     ----------
-    padded : (c, h + 2 distance, w + 2 distance) float32
+    padded : (3, h + 2 distance, w + 2 distance) float32
         With that many pixels more on each side.
     weights : (8, h, w) float32
         In the order of `NEIGHBOURS`.
-    sums : (c, h, w) float32
+    sums : (3, h, w) float32
         Added to.
     distance
         Of the neighbours, pixels.
@@ -166,11 +165,11 @@ def repeat_border(padded: np.ndarray, *, top: bool, bottom: bool) -> None:
 
 
 def with_margin(planes: np.ndarray, rows: slice, margin: int, workspace: Workspace) -> np.ndarray:
-    """Rows of ``(c, h, w)`` with a margin of pixels on each side, repeated at the border."""
+    """Rows of ``(3, h, w)`` with a margin of pixels on each side, repeated at the border."""
     height, width = planes.shape[1:]
     near, inner = with_halo(rows, margin, height)
     count = rows.stop - rows.start
-    padded = workspace.array("neighbours", (len(planes), count + 2 * margin, width + 2 * margin))
+    padded = workspace.array("neighbours", (3, count + 2 * margin, width + 2 * margin))
     top = margin - inner.start
     bottom = top + near.stop - near.start
     padded[:, top:bottom, margin:-margin] = planes[:, near]

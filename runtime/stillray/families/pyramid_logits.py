@@ -46,7 +46,7 @@ class LevelLayout:
         Where the spec asks for it, what a pixel takes of its eight `NEIGHBOURS` at each of
         `distances`, as the blend's; empty elsewhere.
     features
-        What the filters of a level compare; empty where it has none.
+        At the finest level what its last filters compare; empty elsewhere, and without filters.
     filters
         A pair a filter: what a pixel weighs to others, and to itself.
     distances
@@ -73,7 +73,7 @@ def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayou
     kernels = len(options.kernel_sizes) if level > 0 or options.finest_kernels else 0
     coarsest = level == levels - 1
     distances = options.finest_neighbours if level == 0 else (1,) * options.predicted
-    filters = options.filters(level)
+    filters = options.finest_filters if level == 0 else ()
     counts = (
         kernels,
         0 if coarsest else 1,
@@ -82,7 +82,7 @@ def level_layout(level: int, levels: int, options: PyramidKernels) -> LevelLayou
         1 if level == 0 else 0,
         0 if level == 0 else 8,
         len(NEIGHBOURS) * len(distances),
-        options.filter_features if filters else 0,
+        options.filter_features if level == 0 else 0,
         2 * len(filters),
     )
     starts = [sum(counts[:index]) for index in range(len(counts) + 1)]

@@ -34,17 +34,17 @@ class Finest:
     ----------
     level
         What it is blended of.
-    filtered : (c, h, w) float32 or None
+    filtered : (3, h, w) float32 or None
         The level as its last filters left it, which is then not blended again.
-    shares : tuple of (h, w) float32 or None
-        What pixels weighed in the filters of each level, finest first.
+    shares : (h, w) float32 or None
+        What its pixels weighed in those filters.
     albedo : (3, h, w) float32 or None
         That it is multiplied by in place of the frame's, see `stillray.families.albedo_average`.
     """
 
     level: Level
     filtered: np.ndarray | None = None
-    shares: tuple[np.ndarray | None, ...] = ()
+    shares: np.ndarray | None = None
     albedo: np.ndarray | None = None
 
     def resolve(
@@ -55,7 +55,7 @@ class Finest:
         out: np.ndarray,
         workspace: Workspace,
     ) -> None:
-        """Rows of the picture, ``(rows, w, c)``: blended, remodulated and resolved."""
+        """Rows of the picture, ``(rows, w, 3)``: blended, remodulated and resolved."""
         padded = self.unresolved(rows, light, workspace)
         around: np.ndarray | None = None
         if toned is not None:
@@ -87,19 +87,18 @@ class Finest:
         return toned
 
     def toned(self, padded: np.ndarray, light: Filterable, workspace: Workspace) -> np.ndarray:
-        """What tells a picture's brighter pixels, ``(c, h, w)`` to ``(h, w)``: 1 + tone L."""
+        """What tells a picture's brighter pixels, ``(3, h, w)`` to ``(h, w)``: 1 + tone L."""
         toned = luminance_of_planes(padded, workspace.array("toned", padded.shape[1:]))
         toned *= tone(light, self.level.options)
         toned += 1
         return toned
 
     def unresolved(self, rows: slice, light: Filterable, workspace: Workspace) -> np.ndarray:
-        """Rows blended and remodulated, ``(c, rows + 2, w + 2)``: a pixel more on each side."""
+        """Rows blended and remodulated, ``(3, rows + 2, w + 2)``: a pixel more on each side."""
         height, width = light.mean.shape[:2]
         # the resolve looks one pixel around; at the border of the frame that is repeated
         around, inner = with_halo(rows, 1, height)
-        channels, _, across = self.level.planes.shape
-        shape = (channels - 1, rows.stop - rows.start + 2, across + 2)
+        shape = (3, rows.stop - rows.start + 2, self.level.planes.shape[2] + 2)
         padded = workspace.array("padded", shape)
         top = 1 - inner.start
         filled = slice(top, top + around.stop - around.start)
@@ -128,13 +127,13 @@ def _resolve(
 
     Parameters
     ----------
-    padded : (c, h + 2, w + 2) float32
+    padded : (3, h + 2, w + 2) float32
         Radiance, with one pixel more on each side.
     weights : (9, h, w) float32
         Of the neighbours and the previous output; changed.
     previous : (h, w, 4) float32 or None
         The previous output, and how much of it is valid.
-    out : (h, w, c) float32
+    out : (h, w, 3) float32
         Written.
     """
     height, width = out.shape[:2]
@@ -149,7 +148,7 @@ def _resolve(
         weights[-1] *= past[3]
         normal += weights[-1]
     np.reciprocal(normal, out=normal)
-    resolved = workspace.array("resolved", (len(padded), height, width))
+    resolved = workspace.array("resolved", (3, height, width))
     np.copyto(resolved, padded[:, 1:-1, 1:-1])
     add_neighbours(padded, weights[: len(NEIGHBOURS)], resolved)
     if past is not None:

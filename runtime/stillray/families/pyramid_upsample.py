@@ -18,7 +18,7 @@ class Doubled:
 
     Parameters
     ----------
-    light : (c, h + 2, w + 2) float32
+    light : (3, h + 2, w + 2) float32
         With its border repeated.
     logits
         Of the level.
@@ -31,7 +31,7 @@ class Doubled:
         self._light, self._logits, self._places = light, logits, places
 
     def rows(self, rows: slice, workspace: Workspace) -> np.ndarray:
-        """Rows of it, ``(c, rows, 2 w)``, which lie in the workspace."""
+        """Rows of it, ``(3, rows, 2 w)``, which lie in the workspace."""
         top, bottom = rows.start // 2, -(-rows.stop // 2)
         high, width = bottom - top, self._logits.shape[2]
         eight = workspace.array("beside and above", (8, high, width))
@@ -39,9 +39,8 @@ class Doubled:
         weights = weights.reshape(2, 4, high, width)
         own = workspace.array("own", (4, high, width))
         np.add(weights[0], weights[1], out=own)
-        channels = len(self._light)
-        mixed = workspace.array("mixed", (channels, 2, high, width))
-        doubled = workspace.array("doubled", (channels, 2 * high, 2 * width))
+        mixed = workspace.array("mixed", (3, 2, high, width))
+        doubled = workspace.array("doubled", (3, 2 * high, 2 * width))
         middle = self._light[:, 1 + top : 1 + bottom]
         with np.errstate(invalid="ignore"):  # a NaN logit: the caller finds it in the image
             own += 2
@@ -53,7 +52,7 @@ class Doubled:
                 beside, above = weights[:, corners]
                 np.multiply(middle[:, None, :, 1:-1], own[corners], out=mixed)
                 over = self._light[:, top + 2 * line : bottom + 2 * line, 1:-1]
-                for channel, column in np.ndindex(channels, 2):
+                for channel, column in np.ndindex(3, 2):
                     side = middle[channel, :, 2 * column : 2 * column + width]
                     cv2.accumulateProduct(side, beside[column], mixed[channel, column])
                     cv2.accumulateProduct(over[channel], above[column], mixed[channel, column])

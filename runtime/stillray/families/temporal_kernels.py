@@ -206,7 +206,7 @@ class TemporalKernels(ABC):
             image = self._tiled(prepared, previous, plan.tiles, context)
         else:
             keep = outputs if plan.runs("layers") else None
-            image = self.picture(prepared, filterable(prepared, previous), context, keep)
+            image = self._picture(prepared, previous, context, keep)
         shading = self._shading(plan, image, prepared, context)
         layers: FilteredLayers | None = None
         if outputs:
@@ -270,14 +270,14 @@ class TemporalKernels(ABC):
         for tile in tiles:
             past = None if previous is None else np.ascontiguousarray(previous[tile.outer])
             part = crop(prepared, tile, context.strips.watch)
-            found = self.picture(part, filterable(part, past), context)
+            found = self._picture(part, past, context)
             image[tile.inner] = found[tile.within]
         return image
 
-    def picture(
+    def _picture(
         self,
         prepared: Prepared,
-        light: Filterable,
+        previous: np.ndarray | None,
         context: Context,
         keep: list[list[Any]] | None = None,
     ) -> np.ndarray:
@@ -285,7 +285,8 @@ class TemporalKernels(ABC):
 
         No two views' outputs are held at a time unless they are kept.
         """
-        planes = self._encode(prepared, light.previous, context)
+        light = filterable(prepared, previous)
+        planes = self._encode(prepared, previous, context)
 
         def pictures() -> Iterator[np.ndarray]:
             for index, view in enumerate(VIEWS[: self.ensemble]):

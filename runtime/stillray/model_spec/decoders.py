@@ -94,9 +94,6 @@ class PyramidKernels(Decoder):
     # through at last, one after the other, and how many features they compare.
     finest_filters: tuple[int, ...] = ()
     filter_features: int = 0
-    # Distances, in pixels of the level, of such filters that a coarser level goes through once it
-    # is blended: a list a level, that of half the resolution first; those left out have none.
-    coarser_filters: tuple[tuple[int, ...], ...] = ()
     # In those a pixel weighs 1 / (1 + tone x) of what the network says, to itself and to others,
     # x being how far its exposed luminance is above 1 before they begin: light of a window, many
     # times that, then does not reach the dark bars before it; 0: all of it.
@@ -121,20 +118,12 @@ class PyramidKernels(Decoder):
         each("decoder.finest_neighbours", self.finest_neighbours, 1, _MAX_WINDOW // 2)
         each("decoder.finest_filters", self.finest_filters, 1, _MAX_WINDOW // 2)
         each("decoder.albedo_filters", self.albedo_filters, 1, _MAX_WINDOW // 2)
-        for distances in self.coarser_filters:
-            each("decoder.coarser_filters", distances, 1, _MAX_WINDOW // 2)
-        filtered = any((self.finest_filters, *self.coarser_filters))
         within(
             "decoder.filter_features",
             self.filter_features,
-            1 if filtered else 0,
-            _MAX_FILTER_FEATURES if filtered else 0,
+            1 if self.finest_filters else 0,
+            _MAX_FILTER_FEATURES if self.finest_filters else 0,
         )
-
-    def filters(self, level: int) -> tuple[int, ...]:
-        """Distances of the filters that a level goes through, pixels of it, 0 being the finest."""
-        by_level = (self.finest_filters, *self.coarser_filters)
-        return by_level[level] if level < len(by_level) else ()
 
     @property
     def most_ensemble(self) -> int:

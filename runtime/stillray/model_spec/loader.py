@@ -145,13 +145,8 @@ class ModelSpec:
         bounded = self.temporal.sharp_contrast > 0 and not family.weighs_past
         within("temporal.edge_blur", self.temporal.edge_blur, 0, 1e6 if bounded else 0)
         within("relief.window", self.relief.window, 0, 1e3)
-        if isinstance(self.decoder, PyramidKernels) and isinstance(self.network, PyramidNetwork):
-            levels = len(self.decoder.coarser_filters)
-            within("length of decoder.coarser_filters", levels, 0, self.network.resolutions - 1)
         if self.prefilter.albedo:
             _require_name(self.prefilter.albedo)
-        elif self.prefilter.normal:
-            raise SpecError("prefilter.normal must be false without a model in prefilter.albedo")
 
     def to_json(self) -> str:
         """The spec as JSON text, as it is embedded in a model file."""

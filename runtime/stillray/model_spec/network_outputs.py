@@ -71,9 +71,8 @@ def _pyramid_planes(decoder: PyramidKernels, level: int, levels: int) -> int:
     if level == 0 and not decoder.finest_kernels:
         kernels = 0
     planes = 2 * kernels + (0 if coarsest else 2)  # importance, blend; pool and blend's own
-    if filters := decoder.filters(level):
-        planes += decoder.filter_features + 2 * len(filters)
     if level == 0:
+        planes += decoder.filter_features + 2 * len(decoder.finest_filters)
         # the previous output, this frame's sample
         return planes + _NEIGHBOURS * (1 + len(decoder.finest_neighbours)) + 2
     return planes + 8 + (_NEIGHBOURS if decoder.predicted else 0)  # doubling, neighbours

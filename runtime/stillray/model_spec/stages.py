@@ -50,7 +50,6 @@ class Prefilter:
     """What is denoised before a frame is, see `stillray.pipeline.prefilter`."""
 
     albedo: str = ""  # name of the model that denoises it; none: it is taken as it is
-    normal: bool = False  # whether normals are filtered as the albedo was
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -97,7 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--list_devices", "--list-devices", "--listDevices", "--ld", action="store_true",
         help="print the devices there are")  # fmt: skip
     parser.add_argument("--clean_aux", "--clean-aux", "--cleanAux", action="store_true",
-        help="albedo and normals have no noise: they are not filtered first")  # fmt: skip
+        help="albedo has no noise: it is not filtered first")  # fmt: skip
     ignored = parser.add_argument_group("taken and ignored, which is said")
     ignored.add_argument("--device", "--dev", "--d", default="default", metavar="NAME")
     ignored.add_argument("--is", "--input_scale", "--input-scale", "--inputScale", type=float,

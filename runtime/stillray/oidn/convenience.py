@@ -41,7 +41,7 @@ def denoise(
     hdr
         Whether color is radiance, 0 and more; always so with ``"RTLightmap"``.
     clean_aux
-        Whether albedo and normal have no noise: they are not filtered first.
+        Whether albedo has no noise: it is not filtered first.
     quality
         ``"high"``, ``"balanced"``, ``"fast"``, ``"default"``, or ``OIDN_QUALITY_*``.
     filter_type

@@ -31,7 +31,7 @@ class Parameters:
     hdr, srgb, directional
         What the color's values are; linear in [0, 1] where none is set.
     clean_aux
-        Whether albedo and normal have no noise, or were filtered before: they are not again.
+        Whether albedo has no noise, or was filtered before: it is not filtered again.
     max_memory_mb
         MiB that the network and the reconstruction may take beside the frame's buffers, which
         are done in tiles then; negative for no bound.

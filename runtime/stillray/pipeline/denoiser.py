@@ -128,9 +128,9 @@ class Denoiser:
         #: Where the network runs.
         self.engine: Engine = engine or engine_of_model(self.model, threads, chosen, network)
         self._owns_engine = engine is None
-        first = self.model.spec.prefilter
+        prefilter = self.model.spec.prefilter.albedo
         exact = precision if precision == "float32" else "auto"
-        self._prefilter = Prefilter(first, threads, chosen, exact) if first.albedo else None
+        self._prefilter = Prefilter(prefilter, threads, chosen, exact) if prefilter else None
         self._turns = Turns()
         self._strips = Strips(threads)
         self._workspace = Workspace()

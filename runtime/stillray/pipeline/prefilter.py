@@ -1,10 +1,9 @@
-"""A frame's albedo and normals, denoised before the frame is.
+"""A frame's albedo, denoised before the frame is.
 
 Of few samples, albedo out of focus, of things in motion, seen through glass or of materials that
 are chosen by chance is noise. Light is divided by it, and the picture multiplied: as noisy as the
 albedo was. A network that sees only the albedo and what lies below it tells noise from texture, as
-Open Image Denoise's prefilters do. Its weights serve the normals as well: how much of a pixel each
-of two surfaces fills is as unknown of them.
+Open Image Denoise's prefilters do.
 """
 
 from __future__ import annotations
@@ -14,12 +13,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from stillray.errors import InputError
 from stillray.families.contract import Context
-from stillray.families.kernel_pyramid import KernelPyramidModel
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
-from stillray.model_spec.stages import Prefilter as Stages
 from stillray.models.network import WatchedEngine
 from stillray.models.registry import find_model
 from stillray.pipeline.opening import (
@@ -47,9 +43,8 @@ def prefilter_stages(frame: Frame, spec: ModelSpec) -> list[Stage]:
     if frame.albedo is None:
         return [Stage(PREFILTER, False, "there is no albedo")]
     if frame.clean_features:
-        return [Stage(PREFILTER, False, "albedo and normals are said to have no noise")]
-    what = "albedo and normals" if spec.prefilter.normal and frame.normal is not None else "albedo"
-    return [Stage(PREFILTER, True, f"the {what} may have noise: {model}")]
+        return [Stage(PREFILTER, False, "the albedo is said to have no noise")]
+    return [Stage(PREFILTER, True, f"the albedo may have noise: {model}")]
 
 
 def foretold(frame: Frame, spec: ModelSpec) -> tuple[list[Stage], Frame]:
@@ -73,32 +68,24 @@ def guides_of(frame: Frame, albedo: np.ndarray) -> Frame:
 
 
 class Prefilter:
-    """Denoises the albedo of frames, and perhaps their normals, by a model of its own.
+    """Denoises the albedo of frames by a model of its own.
 
     Parameters
     ----------
-    stage
-        The model's name, and whether it filters normals, too.
+    model
+        Its name.
     threads, providers, precision
         As `stillray.Denoiser` takes them.
 
     Raises
     ------
     InputError
-        There is no such model, or it cannot filter normals.
+        There is no such model.
     """
 
-    def __init__(self, stage: Stages, threads: int, providers: Providers, precision: str) -> None:
-        self._model = find_model(stage.albedo)
+    def __init__(self, model: str, threads: int, providers: Providers, precision: str) -> None:
+        self._model = find_model(model)
         self._family = family_of_model(self._model, providers)
-        self._of_both: KernelPyramidModel | None = None
-        if stage.normal:
-            if not isinstance(self._family, KernelPyramidModel):
-                raise InputError(
-                    "prefilter.normal must be false with a prefilter that is no kernel pyramid, "
-                    f"got {stage.albedo} of {self._model.family}"
-                )
-            self._of_both = self._family
         network = network_path(self._model, precision, providers)
         self._engine = engine_of_model(self._model, threads, providers, network)
 
@@ -121,10 +108,10 @@ class Prefilter:
         Returns
         -------
         Frame
-            The same but for its albedo, and its normals where they are filtered, too: convex
-            combinations of what was there, in [0, 1], and where the frame says its samples no
-            further from it than those let it be. Skies, lamps and mirrors whose albedo is black
-            stay black beside what is not: their light would be divided by next to nothing.
+            The same but for its albedo: convex combinations of what was there, in [0, 1], and where
+            the frame says its samples no further from it than those let it be. Skies,
+            lamps and mirrors that are black stay black beside what is not: their light would be
+            divided by next to nothing.
         """
         assert frame.albedo is not None
         strips = context.strips
@@ -144,13 +131,7 @@ class Prefilter:
         inner = Context(strips=strips, engine=engine, workspace=context.workspace)
         asked = Asked(model=self._model.name, temporal=False, max_memory=max_memory)
         plan = plan_frame(guides, None, self._family, asked, inner)
-        normal = frame.normal
-        if self._of_both is not None and normal is not None:
-            image, given, normal = self._of_both.with_normals(plan, inner)
-            if frame.samples is not None:
-                bound_by_samples(normal, given, frame.samples, strips)
-        else:
-            image = self._family.step(plan, inner).image
+        image = self._family.step(plan, inner).image
         if frame.samples is not None:
             bound_by_samples(image, albedo, frame.samples, strips)
 
@@ -161,7 +142,7 @@ class Prefilter:
             np.minimum(image[rows], 1, out=image[rows])
 
         strips.run(keep_black, *frame.shape)
-        return replace(frame, albedo=image, normal=normal, clean_features=True)
+        return replace(frame, albedo=image, clean_features=True)
 
 
 def _within(albedo: np.ndarray, most: float) -> np.ndarray:

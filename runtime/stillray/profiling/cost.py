@@ -17,7 +17,6 @@ import numpy as np
 
 from stillray.families.cost import EXP, WINDOW_SUM
 from stillray.families.feature_filters import FeatureFiltersModel
-from stillray.families.kernel_pyramid import KernelPyramidModel
 from stillray.families.online import OnlineModel
 from stillray.families.registry import family_of
 from stillray.families.temporal_kernels import TemporalKernels
@@ -109,13 +108,6 @@ def stage_costs(info: ModelInfo, frame: Frame, precision: str = "float32") -> di
     if frame.albedo is not None and any(s.runs for s in prefilter_stages(frame, info.spec)):
         prefilter = find_model(info.spec.prefilter.albedo)
         first = stage_costs(prefilter, guides_of(frame, frame.albedo), precision)
-        if info.spec.prefilter.normal and frame.normal is not None:
-            both = family_of(prefilter.spec)
-            assert isinstance(both, KernelPyramidModel)
-            operations, planes = both.cost_with_normals
-            first["reconstruct"] = Cost(
-                operations=operations * pixels, bytes=_BYTES * planes * pixels
-            )
         costs[PREFILTER] = Cost(
             operations=sum(cost.operations / cost.lanes for cost in first.values()),
             bytes=sum(cost.bytes for cost in first.values()),

@@ -168,8 +168,7 @@ class Filterable:
     Attributes
     ----------
     mean : (h, w, 4) float32
-        Accumulated irradiance, finite, and the samples that each pixel holds; kernel pyramids take
-        further channels between them, which are filtered as the light is.
+        Accumulated irradiance, finite, and the samples that each pixel holds.
     sample : (4, h, w) float32 or None
         This frame's irradiance and what its samples weigh; None for that of ``mean``.
     remodulation_albedo : (h, w, 3) float32 or None

@@ -70,8 +70,8 @@ def kernel_pyramid(
 
     Parameters
     ----------
-    irradiance_nchw : (n, c, h, w)
-        Sizes that are multiples of 2^(levels - 1); channels beyond three are filtered as the light.
+    irradiance_nchw : (n, 3, h, w)
+        Sizes that are multiples of 2^(levels - 1).
     samples_nchw : (n, 1, h, w)
         Samples that each pixel holds, > 0.
     maps
@@ -85,16 +85,16 @@ def kernel_pyramid(
 
     Returns
     -------
-    (n, c, h, w)
+    (n, 3, h, w)
     """
-    levels, channels = len(maps), irradiance_nchw.shape[1]
+    levels = len(maps)
     layouts = [level_layout(level, levels, options) for level in range(levels)]
     light, held = [irradiance_nchw], [samples_nchw]
     for parts in maps[:-1]:
         importance = parts.pool.exp()
         weight = importance * held[-1]
         pooled = F.avg_pool2d(torch.cat([weight * light[-1], weight, importance], 1), 2)
-        weighted, total_weight, total = pooled.split((channels, 1, 1), 1)
+        weighted, total_weight, total = pooled.split((3, 1, 1), 1)
         light.append(weighted / total_weight)
         held.append(total_weight / total)
     result: Tensor | None = None
@@ -116,22 +116,23 @@ def kernel_pyramid(
         # none where the finest level has no kernels; shares of neighbours follow
         for size, plane, share in zip(options.kernel_sizes, weights, others, strict=False):
             weight = plane[:, None]
-            sums, normal = box(torch.cat([weight * own, weight], 1), size).split((channels, 1), 1)
+            sums, normal = box(torch.cat([weight * own, weight], 1), size).split((3, 1), 1)
             total = total + share * (sums / normal)
         if maps[level].around.shape[1]:
             moved = [each for far in layouts[level].distances for each in shifted(own, far)]
             neighbours = zip(moved, others[-len(moved) :], strict=True)
             total = total + sum(share * neighbour for neighbour, share in neighbours)
-        logits = maps[level].filters
-        if layouts[level].filter_distances and options.filter_tone:
-            assert exposure is not None
-            logits = logits + share_of_bright(total.detach(), exposure, options.filter_tone).log()
-        pairs = zip(layouts[level].filter_distances, logits.split(2, 1), strict=False)
-        for distance, pair in pairs:
-            weight, itself = pair.exp().split(1, 1)
-            total = gaussian(total, maps[level].features, weight, itself, distance)
         result = total
     assert result is not None
+    finest = maps[0]
+    logits = finest.filters
+    if options.filter_tone:
+        assert exposure is not None
+        logits = logits + share_of_bright(result.detach(), exposure, options.filter_tone).log()
+    pairs = zip(layouts[0].filter_distances, logits.split(2, 1), strict=False)
+    for distance, pair in pairs:
+        weight, own = pair.exp().split(1, 1)
+        result = gaussian(result, finest.features, weight, own, distance)
     return result
 
 

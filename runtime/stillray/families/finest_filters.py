@@ -1,9 +1,8 @@
-"""What a level of a kernel pyramid goes through at last: Gaussians of feature distances.
+"""The last filters of a kernel pyramid: Gaussians of feature distances, further apart first.
 
 Shares of neighbours, box windows and doubled levels all reach a few pixels or none alike; light on
-a rim of two pixels is to be found along it, and a wall is even only if it is averaged far along.
-Each pass looks at eight pixels at a distance and takes those that look alike, so that a few passes,
-further apart first, follow an edge and keep to a surface.
+a rim of two pixels is to be found along it. Each pass looks at eight pixels at a distance and takes
+those that look alike, so that a few passes follow an edge.
 """
 
 from __future__ import annotations
@@ -17,40 +16,43 @@ import numpy as np
 from stillray.arrays.strips import Strips, with_halo
 from stillray.families.gaussian import Weights, framed, gaussian, measured
 from stillray.families.logit_maps import LogitMaps
-from stillray.families.pyramid_level import Level
 from stillray.families.pyramid_logits import LevelLayout
 
-#: Writes what rows weigh of what the logits say, ``(rows, w)``, told what was blended there,
-#: ``(c, rows, w)``.
-Share = Callable[[slice, np.ndarray, np.ndarray], None]
 
-
-def filter_level(
-    own: Level, level: int, strips: Strips, share: Share | None = None
+def filter_finest(
+    blend: Callable[[slice, np.ndarray], None],
+    size: tuple[int, int],
+    logits: LogitMaps,
+    layout: LevelLayout,
+    strips: Strips,
+    share: Callable[[slice, np.ndarray, np.ndarray], None] | None = None,
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """A level, blended and filtered.
+    """The finest level, blended and filtered.
 
     Parameters
     ----------
-    own
-        The level, whose layout has one filter or more.
-    level
-        Which one, 0 being the finest.
+    blend
+        Writes rows of what is filtered, ``(3, rows, w)``.
+    size
+        Height and width.
+    logits
+        Of the finest level.
+    layout
+        Of the logits, with one filter or more.
     strips
         Where the work runs.
     share
-        What bright pixels weigh; None where they weigh all of what the logits say.
+        Writes what rows weigh of what the logits say, ``(rows, w)``, told what was blended there,
+        ``(3, rows, w)``; None where they weigh all of it.
 
     Returns
     -------
-    filtered : (c, h, w) float32
-        In the workspace of this thread until the next level is filtered: convex combinations of
-        what was blended.
+    filtered : (3, h, w) float32
+        In the workspace of this thread: convex combinations of what was blended.
     shares : (h, w) float32 or None
-        In the workspace, too, until the level is filtered again: what ``share`` has written.
+        In the workspace, too: what ``share`` has written.
     """
-    height, width = own.planes.shape[1:]
-    logits, layout = own.logits, own.layout
+    height, width = size
     margin = max(layout.filter_distances)
     inside = slice(margin, margin + height)
     count = layout.features.stop - layout.features.start
@@ -58,15 +60,15 @@ def filter_level(
     source, other, features, norms = images = [
         strips.workspace.array(name, (planes, height + 2 * margin, width + 2 * margin))
         for name, planes in (
-            ("filtered 0", len(own.planes) - 1),
-            ("filtered 1", len(own.planes) - 1),
-            ("filter features", count),
-            ("filter norms", 1),
+            ("finest 0", 3),
+            ("finest 1", 3),
+            ("finest features", count),
+            ("finest norms", 1),
         )
     ]
     shares: np.ndarray | None = None
     if share is not None:
-        shares = strips.workspace.array(f"filter shares {level}", source.shape[1:])
+        shares = strips.workspace.array("finest shares", source.shape[1:])
         images.append(shares[None])
     within = slice(margin, margin + width)
 
@@ -74,7 +76,7 @@ def filter_level(
         at = slice(margin + rows.start, margin + rows.stop)
         for image in images:
             _frame(image, at, margin)
-        own.blend(rows, source[:, at, within], strips.workspace)
+        blend(rows, source[:, at, within])
         logits.numbers(layout.features, rows, features[:, at, within])
         measured(features[:, at, within], norms[0, at, within])
         if share is not None and shares is not None:
