@@ -585,8 +585,12 @@ def test_the_command_trains_every_family_but_the_one_that_learns_by_itself(model
 
 
 @pytest.mark.parametrize(
-    "share", ["lamp_share", "window_share", "shadow_share", "tail_share", "defocus_share"]
-)
+    "share",
+    [
+        "lamp_share", "window_share", "shadow_share", "tail_share", "defocus_share", "glint_share",
+        "texture_share", "leaf_share", "mixture_share",
+    ],
+)  # fmt: skip
 def test_what_is_painted_is_the_same_with_the_blocks_of_a_sequence_and_without(data, small, share):
     recipe = dataclasses.replace(small.training, **{share: 1.0})
     sequence = find_sequences(data)[0]

@@ -24,6 +24,7 @@ from stillray_training.defocus import (
 from stillray_training.fine_textures import draw_texture
 from stillray_training.glints import draw_glints, glinting_frame, glinting_reference
 from stillray_training.heavy_tail import draw_tail, frame_with, reference_with
+from stillray_training.leaves import draw_leaves
 from stillray_training.mixed_materials import draw_mixtures, mixed_frame, mixed_reference
 from stillray_training.small_lamps import draw_lamps, lit_frame, lit_reference
 from stillray_training.targets import read_albedo_target, read_filter, read_target
@@ -104,6 +105,7 @@ def read_rendered(
         (1, recipe.lamp_share, _with_lamps),
         (9, recipe.glint_share, _with_glints),
         (7, recipe.texture_share, _with_texture),
+        (10, recipe.leaf_share, _with_leaves),
         (8, recipe.mixture_share, _with_mixtures),
         (6, recipe.defocus_share, _through_lens),
     ):
@@ -193,6 +195,15 @@ def _with_texture(rendered: Rendered, rng: np.random.Generator) -> Rendered:
         rendered,
         clean,
         lambda frame, samples: replace(frame, color=clean if noiseless else frame.color * texture),
+    )
+
+
+def _with_leaves(rendered: Rendered, rng: np.random.Generator) -> Rendered:
+    leaves = draw_leaves(rendered.reference.shape[:2], rendered.spread, rng)
+    return _painted(
+        rendered,
+        rendered.reference * leaves.mean,
+        lambda frame, samples: replace(frame, color=frame.color * leaves.met(samples, rng)),
     )
 
 
