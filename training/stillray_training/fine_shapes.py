@@ -13,6 +13,18 @@ FINE = 8
 Pair = tuple[float, float]
 
 
+def softer_than_a_box(spread: float | None) -> float:
+    """Standard deviation of the blur that makes a pixel filter of a box, pixels; 0: it is one.
+
+    Parameters
+    ----------
+    spread
+        That of the filter, in pixels; None for that of a box.
+    """
+    own = filter_spread("box")
+    return 0.0 if spread is None or spread <= own else float(np.sqrt(spread**2 - own**2))
+
+
 def seen_through(fine: np.ndarray, spread: float | None) -> np.ndarray:
     """What pixels see of a shape of `FINE` points a pixel along each axis.
 
@@ -28,9 +40,8 @@ def seen_through(fine: np.ndarray, spread: float | None) -> np.ndarray:
     (h, w) float32
         The probability that a sample of a pixel meets it.
     """
-    own = filter_spread("box")
-    if spread is not None and spread > own:  # the mean of a pixel's points is a box of its own
-        fine = cv2.GaussianBlur(fine, (0, 0), FINE * float(np.sqrt(spread**2 - own**2)))
+    if softer := softer_than_a_box(spread):  # the mean of a pixel's points is a box of its own
+        fine = cv2.GaussianBlur(fine, (0, 0), FINE * softer)
     height, width = (size // FINE for size in fine.shape)
     return cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA)
 

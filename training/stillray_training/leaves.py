@@ -13,9 +13,15 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from stillray.pixel_filter import filter_spread
 from stillray_training.draws import log_uniform
-from stillray_training.fine_shapes import FINE, anywhere, ellipse, rectangle, seen_through
+from stillray_training.fine_shapes import (
+    FINE,
+    anywhere,
+    ellipse,
+    rectangle,
+    seen_through,
+    softer_than_a_box,
+)
 
 _SMALLEST, _LARGEST = (0.3, 3.0), 32.0  # radii, pixels: the smallest of a texture; the largest
 _STRETCHED = (1.0, 8.0)  # width by height: wood, and floors that are looked along
@@ -64,10 +70,8 @@ class Leaves:
 
     def _within(self, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
         """Where samples fall, from the top left of their pixels."""
-        own = filter_spread("box")
-        if self.spread is None or self.spread <= own:
-            return rng.random(shape)
-        return rng.random(shape) + np.sqrt(self.spread**2 - own**2) * rng.normal(size=shape)
+        within, softer = rng.random(shape), softer_than_a_box(self.spread)
+        return within + softer * rng.normal(size=shape) if softer else within
 
 
 def draw_leaves(shape: tuple[int, int], spread: float | None, rng: np.random.Generator) -> Leaves:
