@@ -10,8 +10,8 @@ from stillray.stages.sample_bounds import bound_by_samples
 
 
 def errors(count):
-    """Standard errors: 1 of 4 samples and fewer, 2 of 16 and more."""
-    return min(max(np.sqrt(count) / 2, 1.0), 2.0)
+    """Standard errors: 1 of one sample, 2 of 4 and more."""
+    return min(max(np.sqrt(count), 1.0), 2.0)
 
 
 def oracle(filtered, given, samples):
@@ -76,11 +76,12 @@ def test_true_means_of_few_samples_are_within_bounds(rng, samples, strips):
     assert np.mean(np.abs(mean - 0.5) < 1e-5) > 0.8
 
 
-def test_of_16_samples_more_than_half_of_the_noise_goes(rng, strips):
-    """As of glass, of which a bound of one standard error leaves two thirds."""
-    given = rng.binomial(16, 0.5, (80, 80, 3)).astype(np.float32) / 16
+@pytest.mark.parametrize("samples", [4, 16])
+def test_of_several_samples_more_than_half_of_the_noise_goes(rng, samples, strips):
+    """As of glass and out of focus, of which a bound of one standard error leaves two thirds."""
+    given = rng.binomial(samples, 0.5, (80, 80, 3)).astype(np.float32) / samples
     mean = np.full_like(given, 0.5)
-    bound_by_samples(mean, given, 16, strips)
+    bound_by_samples(mean, given, samples, strips)
     assert mean.std() < 0.45 * given.std()
 
 

@@ -13,10 +13,10 @@ import numpy as np
 from stillray.arrays.strips import Strips, with_halo
 
 _RANGE = 3  # pixels to each side whose values say what samples of a pixel may be
-#: Standard errors that a mean may be off, of few samples and of many, and the counts of samples up
-#: to which, and from which on, it is so many: of few a filter takes fine texture for noise, of
-#: many what one error leaves of glass is seen.
-_ERRORS, _COUNTS = (1.0, 2.0), (4.0, 16.0)
+#: Standard errors that a mean may be off, of one sample and of several, and the counts of samples
+#: up to which, and from which on, it is so many: of one a filter takes fine texture for noise, of
+#: several what one error leaves is seen, dots around what a lens does not show sharp.
+_ERRORS, _COUNTS = (1.0, 2.0), (1.0, 4.0)
 _LEAST = 1e-6  # of a range, which is divided by
 
 
