@@ -15,7 +15,7 @@ from stillray.families.contract import Context
 from stillray.frame import Frame
 from stillray.model_spec.stages import Prefilter as Prefilters
 from stillray.models.registry import find_model
-from stillray.pipeline.prefilter import PREFILTER, Prefilter, prefilter_stages
+from stillray.pipeline.prefilter import PREFILTER, Prefilter, guides_of, prefilter_stages
 from tests.conftest import ODD_SIZES, make_frame
 
 MODEL = "kpyr-5-still"
@@ -77,6 +77,36 @@ def test_an_albedo_without_noise_keeps_its_texture(rng, prefilter, context):
     frame = Frame(color=albedo, albedo=albedo, normal=normal, depth=np.ones((64, 96)), samples=256)
     found = prefilter.denoised(frame, context, None).albedo
     assert np.sqrt(np.mean((found - albedo) ** 2)) < 0.02
+
+
+def glass(rng, samples, size=64):
+    """A pane of which each sample meets one of two materials, and its albedo without noise."""
+    met = rng.random((samples, size, size)) < 0.4
+    albedo = np.where(met[..., None], DARK, PALE).mean(0)
+    normal = np.zeros((size, size, 3), np.float32) + np.float32([0, 0, 1])
+    frame = Frame(color=albedo, albedo=albedo, normal=normal, samples=samples)
+    return frame, 0.6 * PALE + 0.4 * DARK
+
+
+def test_of_many_samples_a_network_expects_no_less_noise_than_of_one(rng):
+    """Glass has noise at any count; pixels that carry nothing carry nothing."""
+    frame, _ = glass(rng, 16, 2)
+    counts = np.float32([[0, 0.5], [3, 64]])
+    for samples, told in ((None, None), (16, 1), (0.5, 0.5), (counts, [[0, 0.5], [1, 1]])):
+        given = dataclasses.replace(frame, samples=samples)
+        found = guides_of(given, frame.albedo).samples
+        assert found is None if told is None else np.array_equal(found, told)
+
+
+def test_pixels_without_samples_carry_nothing_into_the_albedo(rng, prefilter, context):
+    frame, mean = glass(rng, 16)
+    counts = np.full(frame.shape, 16.0, np.float32)
+    counts[20:24, 20:24] = 0
+    albedo = frame.albedo.copy()
+    albedo[20:24, 20:24] = 0.9
+    broken = dataclasses.replace(frame, albedo=albedo, samples=counts)
+    found = prefilter.denoised(broken, context, None).albedo
+    np.testing.assert_allclose(found[20:24, 20:24], np.broadcast_to(mean, (4, 4, 3)), atol=0.15)
 
 
 def test_what_is_denoised_lies_within_what_was_there(rng, prefilter, context):

@@ -146,8 +146,10 @@ class PatchSampler:
             normal = None
         if rng.random() < recipe.drop_feature:
             depth = None
-        # whoever does not say how many samples a frame has is taken to have one
-        spp = example.spp if rng.random() < _SAMPLES_KNOWN else 1.0
+        # whoever does not say how many samples a frame has is taken to have one, and so is albedo:
+        # see `stillray.pipeline.prefilter.guides_of`
+        known = rng.random() < _SAMPLES_KNOWN and recipe.layer != "albedo"
+        spp = example.spp if known else 1.0
         spread = None
         if PIXEL_FILTER in spec.network.features and rng.random() < _FILTER_KNOWN:
             spread = example.filter_spread

@@ -60,10 +60,15 @@ def foretold(frame: Frame, spec: ModelSpec) -> tuple[list[Stage], Frame]:
 
 
 def guides_of(frame: Frame, albedo: np.ndarray) -> Frame:
-    """The frame that a prefilter denoises: an albedo ``(h, w, 3)`` for color, normal and depth."""
+    """The frame that a prefilter denoises: an albedo ``(h, w, 3)`` for color, normal and depth.
+
+    However many samples a pixel has, it is taken to have one, or none: of many a network expects
+    little noise, and keeps that of glass and of mixed materials, which is there at any count.
+    """
+    samples = None if frame.samples is None else np.minimum(frame.samples, 1)
     return replace(
         frame, color=albedo, albedo=None, motion=None, color_b=None, alpha=None, jitter=None,
-        roughness=None, specular_albedo=None,
+        roughness=None, specular_albedo=None, samples=samples,
     )  # fmt: skip
 
 
