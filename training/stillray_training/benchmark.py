@@ -23,7 +23,7 @@ from stillray.arrays.strips import available_threads
 from stillray.cli import program
 from stillray.cli.output import status
 from stillray.io.atomic import atomic_path
-from stillray.models.registry import DEFAULT_MODEL, list_models
+from stillray.models.registry import DEFAULT_MODEL, find_model, list_models
 from stillray.profiling.clip import MADE_UP, Clip, open_clip
 from stillray.profiling.cost import stage_costs
 from stillray.profiling.machine import describe, measure_peak_rates, output_of, peak_resident
@@ -203,6 +203,9 @@ def main(
     model: Annotated[
         list[str] | None, typer.Option(help="Ours; repeatable; all listed unless given.")
     ] = None,
+    ensemble: Annotated[
+        int, typer.Option(min=1, help="Time each model as an ensemble of so many too, if it can.")
+    ] = 1,
     scaling: Annotated[bool, typer.Option(help="Measure the scaling curves.")] = True,
     report: Annotated[
         Path | None, typer.Option(help="Write the figures as Markdown, pictures beside it.")
@@ -222,7 +225,13 @@ def main(
         Setting(model=name, height=height, width=width, threads=threads)
         for name in model or [info.name for info in list_models()]
     ]
-    if not model:
+    if ensemble > 1:
+        settings += [
+            dataclasses.replace(each, ensemble=ensemble)
+            for each in settings
+            if ensemble <= find_model(each.model).spec.decoder.most_ensemble
+        ]
+    elif not model:
         settings.append(dataclasses.replace(settings[0], model=DEFAULT_MODEL, ensemble=2))
     with status("rounds") as progress:
         peaks = measure_peak_rates(threads)
