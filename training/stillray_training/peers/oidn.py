@@ -65,7 +65,8 @@ class PrefilteredOpenImageDenoise:
     """Open Image Denoise with albedo and normals denoised first, each by a network of its own.
 
     What Blender does unless told otherwise (its "Accurate" prefilter), and what Open Image
-    Denoise's manual recommends for the best quality: three networks a frame for one.
+    Denoise's manual recommends for the best quality: three networks a frame for one, at high
+    quality each larger than that one.
 
     Parameters
     ----------
