@@ -23,6 +23,7 @@ from stillray.arrays.strips import available_threads
 from stillray.cli import program
 from stillray.cli.output import status
 from stillray.io.atomic import atomic_path
+from stillray.model_spec.decoders import MOST_ENSEMBLE
 from stillray.models.registry import DEFAULT_MODEL, find_model, list_models
 from stillray.profiling.clip import MADE_UP, Clip, open_clip
 from stillray.profiling.cost import stage_costs
@@ -204,7 +205,12 @@ def main(
         list[str] | None, typer.Option(help="Ours; repeatable; all listed unless given.")
     ] = None,
     ensemble: Annotated[
-        int, typer.Option(min=1, help="Time each model as an ensemble of so many too, if it can.")
+        int,
+        typer.Option(
+            min=1,
+            max=MOST_ENSEMBLE,
+            help="Time each model as an ensemble of so many too, if it can.",
+        ),
     ] = 1,
     scaling: Annotated[bool, typer.Option(help="Measure the scaling curves.")] = True,
     report: Annotated[
