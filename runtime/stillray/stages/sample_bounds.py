@@ -13,10 +13,10 @@ import numpy as np
 from stillray.arrays.strips import Strips, with_halo
 
 _RANGE = 3  # pixels to each side whose values say what samples of a pixel may be
-#: Standard errors that a mean may be off, of one sample and of several, and the counts of samples
-#: up to which, and from which on, it is so many: of one a filter takes fine texture for noise, of
-#: several what one error leaves is seen, dots around what a lens does not show sharp.
-_ERRORS, _COUNTS = (1.0, 2.0), (1.0, 4.0)
+#: Standard errors that a mean may be off, the least and the most; between them their square is the
+#: count of samples. Of one a filter takes fine texture for noise, of several what one error leaves
+#: is seen, dots around what a lens does not show sharp.
+_ERRORS = (1.0, 2.0)
 _LEAST = 1e-6  # of a range, which is divided by
 
 
@@ -45,8 +45,7 @@ def bound_by_samples(
     height, width = given.shape[:2]
     window = np.ones((2 * _RANGE + 1,) * 2, np.uint8)
     counts = np.maximum(np.nan_to_num(np.asarray(samples, np.float32), nan=1.0), 1)
-    squares = np.clip(counts * np.float32(_ERRORS[0] ** 2 / _COUNTS[0]), *np.square(_ERRORS))
-    squares = squares.astype(np.float32)
+    squares = np.clip(counts, *np.square(_ERRORS)).astype(np.float32)
     if np.isnan(given.max()):
         given = np.where(np.isnan(given), filtered, given)
 

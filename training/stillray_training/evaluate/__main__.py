@@ -17,6 +17,7 @@ from stillray.cli import program
 from stillray.compare.metrics import METRICS
 from stillray.errors import InputError
 from stillray.io.atomic import atomic_path
+from stillray.model_spec.decoders import MOST_ENSEMBLE
 from stillray.models.registry import (
     ModelInfo,
     find_model,
@@ -48,7 +49,12 @@ def main(
         typer.Option(help="Model, .onnx, or LABEL=one of them; repeatable; default: all."),
     ] = None,
     ensemble: Annotated[
-        int, typer.Option(help="Run each model as an ensemble of so many too, where it can.")
+        int,
+        typer.Option(
+            min=1,
+            max=MOST_ENSEMBLE,
+            help="Run each model as an ensemble of so many too, where it can.",
+        ),
     ] = 1,
     peer: Annotated[
         list[str] | None,
