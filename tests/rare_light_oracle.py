@@ -11,9 +11,12 @@ from stillray.stages import rare_light
 _REC709 = np.array([0.2126, 0.7152, 0.0722])
 
 
-def gain_of(image: np.ndarray, color: np.ndarray, exposure: float) -> np.ndarray:
-    """The gain at every pixel, ``(h, w)``; arrays as `rare_light.restore` takes them."""
-    height, width = image.shape[:2]
+def gain_of(image: np.ndarray, color: np.ndarray, exposure: float, zoom: int = 1) -> np.ndarray:
+    """The gain at every pixel of the image; arrays as `rare_light.restore` takes them."""
+    height, width = color.shape[:2]
+    given, image = image, np.zeros((height, width, 3))
+    for y, x in np.ndindex(height, width):
+        image[y, x] = given[zoom * y : zoom * (y + 1), zoom * x : zoom * (x + 1)].mean((0, 1))
     picture, samples = (each.astype(np.float64) @ _REC709 for each in (image, color))
     means = _blocks(picture, beyond=True) / rare_light.BLOCK**2
     padded = np.pad(means, 1, mode="edge")
@@ -23,7 +26,7 @@ def gain_of(image: np.ndarray, color: np.ndarray, exposure: float) -> np.ndarray
     near = _enlarged(usual)[:height, :width]
     above = (samples - picture) / near
     if (above > rare_light.BANDS[0]).sum() < rare_light.FEWEST:
-        return np.ones((height, width))
+        return np.ones(given.shape[:2])
     counts = _blocks(np.ones((height, width)))
     missing = np.zeros_like(means)
     for low, high in pairwise(rare_light.BANDS):
@@ -38,7 +41,7 @@ def gain_of(image: np.ndarray, color: np.ndarray, exposure: float) -> np.ndarray
     gain = np.ones_like(more)
     counts_for = more > rare_light.LEAST
     gain[counts_for] += more[counts_for] - rare_light.LEAST**2 / more[counts_for]
-    return _enlarged(gain)[:height, :width]
+    return _enlarged(gain, zoom)[: given.shape[0], : given.shape[1]]
 
 
 def _believed(light: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -75,9 +78,9 @@ def _wide(blocks: np.ndarray, window: int) -> np.ndarray:
     return sums
 
 
-def _enlarged(blocks: np.ndarray) -> np.ndarray:
+def _enlarged(blocks: np.ndarray, zoom: int = 1) -> np.ndarray:
     """Linear between the middles of blocks; beyond the outermost they go on."""
-    side = rare_light.BLOCK
+    side = zoom * rare_light.BLOCK
     padded = np.pad(blocks, 1, mode="edge")
     result = np.zeros([size * side for size in blocks.shape])
     for y, x in np.ndindex(*result.shape):

@@ -22,7 +22,7 @@ from stillray.model_spec.network_outputs import network_outputs
 from stillray.models.network_graph import Interface, Planes
 from stillray.models.registry import ModelInfo
 from stillray.pipeline.denoiser import Denoiser
-from stillray.stages import features
+from stillray.stages import features, rare_light
 from stillray.stages.accumulate import bounded
 from stillray_training.networks.multi_branch import multi_branch_net
 from stillray_training.upscaling import unroll
@@ -105,6 +105,27 @@ def test_what_is_said_is_what_runs(rng, denoiser):
         said = {stage.name for stage in denoiser.stages(one) if stage.runs}
         assert np.isfinite(denoiser.denoise(one)).all()
         assert said == set(denoiser.last_timings)
+
+
+def test_rare_light_is_remembered_at_lamps_as_around_them(rng, denoiser, monkeypatch):
+    """A lamp's own light is not, and what was there before it has the gain of the picture."""
+    color = np.ones((40, 60, 3), np.float32)
+    color[20:23, 30:33] = 100
+    lit = frame(rng, (40, 60), color=color, jitter=None)
+    remembered, images = [], []
+    for gain in (1, 3):
+
+        def restore(image, *given, gain=gain):
+            image *= gain
+            return np.full(image.shape[:2], np.float32(gain))
+
+        monkeypatch.setattr(rare_light, "restore", restore)
+        denoiser.reset()
+        images.append(denoiser.denoise(lit))
+        remembered.append(denoiser.state.temporal.output[..., :3].copy())
+    np.testing.assert_allclose(images[1], 3 * images[0], rtol=1e-6)
+    np.testing.assert_allclose(remembered[1], 3 * remembered[0], rtol=1e-6)
+    assert (images[0] > 1.1 * remembered[0]).any()
 
 
 def test_a_cut_a_new_size_and_missing_motion_begin_anew(rng, denoiser):

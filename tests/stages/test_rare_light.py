@@ -14,9 +14,9 @@ WALL = np.float32([0.8, 0.5, 0.3])
 LIGHT = float(WALL @ np.float32([0.2126, 0.7152, 0.0722]))
 
 
-def restored(image, color, strips=None):
+def restored(image, color, strips=None, zoom=1):
     image = image.copy()
-    gain = rare_light.restore(image, color, 0.4, strips or Strips(1), Workspace())
+    gain = rare_light.restore(image, color, 0.4, strips or Strips(1), Workspace(), zoom)
     return image, gain
 
 
@@ -31,14 +31,16 @@ def samples(shape, often, brightness, rng):
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (9, 40), (33, 50), (70, 61)])
 @pytest.mark.parametrize("often", [0.0, 0.01, 0.2])
-def test_the_gain_equals_the_loop_oracle(height, width, often, rng, monkeypatch):
+@pytest.mark.parametrize("zoom", [1, 2])
+def test_the_gain_equals_the_loop_oracle(height, width, often, zoom, rng, monkeypatch):
+    """Of a picture that may be larger than the frame, too."""
     monkeypatch.setattr(rare_light, "WINDOWS", (7, 3))
-    image = (WALL * rng.uniform(0.2, 3, (height, width, 1))).astype(np.float32)
-    color = image * rng.exponential(1, (height, width, 1)).astype(np.float32)
+    image = WALL * rng.uniform(0.2, 3, (zoom * height, zoom * width, 1)).astype(np.float32)
+    color = image[::zoom, ::zoom] * rng.exponential(1, (height, width, 1)).astype(np.float32)
     for bright in (30, 300, 3e4, 1e9):
         color[rng.random((height, width)) < often] *= np.float32(bright)
-    found, gain = restored(image, color)
-    expected = rare_light_oracle.gain_of(image, color, 0.4)
+    found, gain = restored(image, color, zoom=zoom)
+    expected = rare_light_oracle.gain_of(image, color, 0.4, zoom)
     if gain is not None:
         np.testing.assert_allclose(gain, expected, rtol=2e-4)
     np.testing.assert_allclose(found, image * expected[..., None], rtol=2e-4)

@@ -34,7 +34,7 @@ from stillray.frame import Frame
 from stillray.model_spec.decoders import FeatureFilters
 from stillray.model_spec.loader import ModelSpec
 from stillray.model_spec.networks import BranchNetwork
-from stillray.stages import features, lamps
+from stillray.stages import features, lamps, rare_light
 from stillray.stages.accumulate import bounded
 from stillray.stages.decide import REJECT
 from stillray.stages.history_rejection import Noise
@@ -202,6 +202,11 @@ class FeatureFiltersModel:
             Stage("network", True, self.spec.name),
             Stage("reconstruct", True, "filters by distances of features, at every resolution"),
             *([Stage("lamps", True, lamps.TOLD)] if self.spec.lamps.restored else []),
+            *(
+                [Stage("rare_light", True, rare_light.TOLD)]
+                if self.spec.rare_light.restored
+                else []
+            ),
             Stage("layers", False, "none are filtered by this model"),
             Stage(
                 "remember",
@@ -229,6 +234,14 @@ class FeatureFiltersModel:
             with timed(context.timings, "lamps"):
                 found = self._lamps(image, plan, seen.frame.exposure, context)
                 before = found.put_back(image, plan.buffers.color, None, self.scale)
+        if plan.runs("rare_light"):
+            with timed(context.timings, "rare_light"):
+                gain = rare_light.restore(
+                    image, plan.buffers.color, seen.frame.exposure, context.strips,
+                    context.workspace, self.scale,
+                )  # fmt: skip
+            if gain is not None and found is not None:
+                before *= found.of(gain, self.scale)[..., None]
 
         def finish() -> State:
             temporal: Remembered | None = None

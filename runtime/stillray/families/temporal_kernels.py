@@ -237,7 +237,7 @@ class TemporalKernels(ABC):
                 rare = rare_light.restore(image, color, exposure, strips, workspace)
             if rare is not None and restored is not None:
                 found, before = restored
-                before *= rare[found.rows, found.columns, None]
+                before *= found.of(rare)[..., None]
         return Shading(gain=gain, restored=restored, rare=rare)
 
     def prepare(self, plan: KernelPlan, context: Context) -> tuple[Prepared, np.ndarray | None]:

@@ -119,10 +119,14 @@ class Restored:
         own = light[self.rows, self.columns, :3] * self.scale
         if albedo is not None:
             own *= albedo[self.rows, self.columns]
-        before = np.stack([image[at] for at in self._places(zoom)])
+        before = self.of(image, zoom)
         for at, filtered in zip(self._places(zoom), before, strict=True):
             image[at] = filtered + self.share * (own - filtered)
         return before
+
+    def of(self, image: np.ndarray, zoom: int = 1) -> np.ndarray:
+        """Those pixels of an image, ``(zoom h, zoom w, ...)`` to ``(zoom^2, n, ...)``."""
+        return np.stack([image[at] for at in self._places(zoom)])
 
     def take_back(self, output: np.ndarray, before: np.ndarray, zoom: int = 1) -> None:
         """Undo it in a copy of the image, ``(zoom h, zoom w, 3 or 4)``, that is remembered.

@@ -42,13 +42,18 @@ _AROUND = np.full(3, 1 / 3, np.float32)  # blocks of which "the picture" is the 
 
 
 def restore(
-    image: np.ndarray, color: np.ndarray, exposure: float, strips: Strips, workspace: Workspace
+    image: np.ndarray,
+    color: np.ndarray,
+    exposure: float,
+    strips: Strips,
+    workspace: Workspace,
+    zoom: int = 1,
 ) -> np.ndarray | None:
     """Put the light of rare samples back into a picture.
 
     Parameters
     ----------
-    image : (h, w, 3) float32
+    image : (zoom h, zoom w, 3) float32
         Radiance that was filtered, finite and >= 0; multiplied by the gain.
     color : (h, w, 3) float32
         The frame it was made of, finite and >= 0.
@@ -58,18 +63,24 @@ def restore(
         Where the work runs.
     workspace
         Where arrays lie from frame to frame.
+    zoom
+        Pixels of the image for one of the frame, along each axis.
 
     Returns
     -------
-    (h, w) float32 or None
+    (zoom h, zoom w) float32 or None
         The gain, in [1, `MOST`], that layers are multiplied by, too; None where too few samples
         stand above the picture. It lies in the workspace.
     """
-    found = gains(image, color, exposure, strips, workspace)
+    height, width = image.shape[:2]
+    small = image
+    if zoom > 1:
+        small = workspace.array("picture of the frame's size", color.shape)
+        cv2.resize(image, color.shape[1::-1], dst=small, interpolation=cv2.INTER_AREA)
+    found = gains(small, color, exposure, strips, workspace)
     if found is None:
         return None
-    height, width = image.shape[:2]
-    gain = workspace.array("gain of rare light", tuple(BLOCK * size for size in found.shape))
+    gain = workspace.array("gain of rare light", tuple(zoom * BLOCK * size for size in found.shape))
     cv2.resize(found, gain.shape[::-1], dst=gain, interpolation=cv2.INTER_LINEAR)
     gain = gain[:height, :width]
     multiply_all(image, gain, strips)
