@@ -10,6 +10,7 @@ import pytest
 import stillray
 from stillray.arrays.strips import Strips
 from stillray.frame import Frame
+from stillray.model_spec.stages import ToldSamples
 from stillray.models.registry import find_model
 from stillray.stages.accumulate import FILLED_WEIGHT, accumulate
 from stillray.stages.prepare import prepare
@@ -174,6 +175,14 @@ def test_a_pixel_of_hardly_any_samples_still_has_a_weight_that_float32_holds():
     assert counts.share.min() == np.float32(LEAST_SHARE)
 
 
+@pytest.mark.parametrize(
+    ("samples", "told"), [(None, 1), (0.3, 0.3), (1, 1), (3, 1), (4, 1), (6, 1.5), (64, 16)]
+)
+def test_a_share_of_many_samples_is_told_and_no_fewer_than_one(samples, told):
+    assert SampleCounts.of(samples, None).told(0.25) == pytest.approx(told)
+    assert SampleCounts.of(samples, None).told() == (1 if samples is None else samples)
+
+
 class Listening:
     """An engine that keeps what the network was last given."""
 
@@ -192,10 +201,18 @@ class Listening:
 @pytest.mark.parametrize(
     ("samples", "told"), [((None, None), 1), ((16, 16), 16), ((4, 16), 16), ((16, None), 16)]
 )
-def test_the_network_is_told_the_samples_that_a_pixel_holds(model, samples, told):
+@pytest.mark.parametrize("share", [1.0, 0.25])
+def test_the_network_is_told_the_samples_that_a_pixel_holds(model, samples, told, share):
+    """Or a share of them, and one where nobody said."""
     info = find_model(model)
     learned = dataclasses.replace(info.spec.training, still_share=0.4)
-    info = dataclasses.replace(info, spec=dataclasses.replace(info.spec, training=learned))
+    info = dataclasses.replace(
+        info,
+        spec=dataclasses.replace(
+            info.spec, training=learned, told_samples=ToldSamples(share=share)
+        ),
+    )
+    told = max(share * told, 1)
     with stillray.Denoiser(info) as denoiser:
         denoiser.engine = Listening(denoiser.engine)
         for seed, each in enumerate(samples):

@@ -70,7 +70,7 @@ def feature_planes(frame: Prepared, spec: ModelSpec) -> Tensor:
         "albedo.luminance": luminance(frame.albedo),
         "depth": frame.depth / (frame.depth + frame.depth_unit),
         "previous.valid": frame.valid,
-        "samples": _samples(frame, spec),
+        "samples": samples_plane(frame, spec),
         PIXEL_FILTER: _filter(frame),
     }
     for name in spec.network.features:
@@ -95,9 +95,12 @@ def _of_light(frame: Prepared) -> dict[str, Tensor]:
     }
 
 
-def _samples(frame: Prepared, spec: ModelSpec) -> Tensor:
+def samples_plane(frame: Prepared, spec: ModelSpec) -> Tensor:
+    """What the network is told of samples, ``(1, 1, h, w)``."""
     # to a network that has seen one sample a pixel alone, more look like a long past
-    held = frame.held * frame.told if spec.knows_samples else frame.held
+    held = frame.held
+    if spec.knows_samples:
+        held = held * torch.maximum(spec.told_samples.share * frame.told, frame.told.clamp(max=1))
     return (held / (held + spec.temporal.max_samples / 4)).sqrt()
 
 

@@ -322,6 +322,10 @@ class TemporalKernels(ABC):
         exposure, remodulation = prepared.history.exposure, prepared.remodulation_albedo
         albedo, normal, depth = prepared.albedo, prepared.normal, prepared.depth
         by = prepared.demodulation_albedo
+        # to a network that has seen one sample a pixel alone, more look like a long past
+        told = 1.0
+        if self.spec.knows_samples:
+            told = prepared.counts.told(self.spec.told_samples.share)
 
         def fill(rows: slice, target: np.ndarray) -> None:
             workspace = context.strips.workspace
@@ -334,8 +338,7 @@ class TemporalKernels(ABC):
                 normal=None if normal is None else normal[rows],
                 depth=None if depth is None else depth[rows],
                 depth_unit=prepared.depth_unit,
-                # to a network that has seen one sample a pixel alone, more look like a long past
-                frame_samples=prepared.counts.for_network if self.spec.knows_samples else 1.0,
+                frame_samples=told,
                 filter_spread=prepared.filter_spread,
                 demodulation_albedo=None if by is None else by[rows],
             )

@@ -40,6 +40,7 @@ from stillray.model_spec.stages import (
     RareLight,
     Relief,
     Temporal,
+    ToldSamples,
     Transfer,
 )
 from stillray.model_spec.training import Training
@@ -86,6 +87,7 @@ class ModelSpec:
     lamps: Lamps = Lamps()  # noqa: RUF009  the same
     rare_light: RareLight = RareLight()  # noqa: RUF009  the same
     prefilter: Prefilter = Prefilter()  # noqa: RUF009  the same
+    told_samples: ToldSamples = ToldSamples()  # noqa: RUF009  the same
     # How it differs from the paper it follows, "what the paper says; here what is done". Prose:
     # no part of what a model is, and models that were exported before it was known lack it.
     differs: tuple[str, ...] = dataclasses.field(default=(), compare=False)
@@ -145,6 +147,7 @@ class ModelSpec:
         bounded = self.temporal.sharp_contrast > 0 and not family.weighs_past
         within("temporal.edge_blur", self.temporal.edge_blur, 0, 1e6 if bounded else 0)
         within("relief.window", self.relief.window, 0, 1e3)
+        within("told_samples.share", self.told_samples.share, 1e-3, 1)
         if self.prefilter.albedo:
             _require_name(self.prefilter.albedo)
 
@@ -164,6 +167,7 @@ _UNSAID = {
     "lamps": Lamps(),
     "rare_light": RareLight(),
     "prefilter": Prefilter(),
+    "told_samples": ToldSamples(),
 }
 FAMILIES = {
     "weight-sharing-kernels": Family(ImportanceNetwork, FusedKernels),

@@ -46,6 +46,15 @@ class RareLight:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ToldSamples:
+    """How many samples a pixel a network is told of, where the frame says how many there are."""
+
+    # Of those there are, (0, 1], though no fewer than one: a network that is told of many expects
+    # little noise, and keeps that of caustics and glass, which have more.
+    share: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Prefilter:
     """What is denoised before a frame is, see `stillray.pipeline.prefilter`."""
 

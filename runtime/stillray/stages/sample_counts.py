@@ -76,10 +76,18 @@ class SampleCounts:
             scale = min(max(before / mean, 1 / MOST_SCALE), MOST_SCALE)
         return cls(mean=mean, share=share, past_scale=scale)
 
-    @property
-    def for_network(self) -> float:
-        """Samples a pixel of a frame, for the network; 1 where nobody said, as in training."""
-        return 1.0 if self.mean is None else self.mean
+    def told(self, share: float = 1.0) -> float:
+        """Samples a pixel of a frame, for the network; 1 where nobody said, as in training.
+
+        Parameters
+        ----------
+        share
+            Of the samples, where they are more than one, see `stillray.model_spec.ModelSpec`'s
+            ``told_samples``.
+        """
+        if self.mean is None:
+            return 1.0
+        return max(share * self.mean, min(self.mean, 1.0))
 
     def held_by_pixel(self, held: np.ndarray, rows: slice) -> None:
         """Bring what the past holds, ``(h, w)`` of some rows, to frames like its pixels."""

@@ -14,6 +14,7 @@ torch = pytest.importorskip("torch")
 from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.arrays.workspace import Workspace  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
+from stillray.model_spec.stages import ToldSamples  # noqa: E402
 from stillray.stages import accumulate as runtime_accumulate  # noqa: E402
 from stillray.stages import (  # noqa: E402
     albedo_history,
@@ -36,6 +37,7 @@ from stillray_export.frame_graph import (  # noqa: E402
     albedo,
     camera,
     dilation,
+    encode,
     exposure,
     frame,
     light,
@@ -456,3 +458,16 @@ def _same(got: np.ndarray | torch.Tensor, wanted: np.ndarray) -> None:
     """All but one pixel in a thousand to 1e-3: a threshold may be met by a rounding."""
     apart = np.abs(np.asarray(got) - wanted) / (np.abs(wanted) + 0.1 * np.abs(wanted).mean())
     assert (apart > 1e-3).mean() <= 1e-3
+
+
+@pytest.mark.parametrize("share", [1.0, 0.25])
+@pytest.mark.parametrize("samples", [None, 0.5, 3.0, 64.0])
+def test_the_network_is_told_as_many_samples(share, samples, rng):
+    spec = replace(load("kpyr-5-still"), told_samples=ToldSamples(share=share))
+    held = rng.uniform(0.1, 9, (5, 6)).astype(np.float32)
+    told = RuntimeCounts.of(samples, None).told(share)
+    expected = np.sqrt(held * told / (held * told + spec.temporal.max_samples / 4))
+    given = torch.full((1, 1, 5, 6), -1.0 if samples is None else samples)
+    counts = accumulation.SampleCounts(given, scalar(0.0))
+    told = SimpleNamespace(held=planes(held), told=counts.told)
+    np.testing.assert_allclose(encode.samples_plane(told, spec)[0, 0], expected, rtol=1e-6)
