@@ -99,7 +99,7 @@ class Frame:
             color = color[..., :3]
         color = _as_float32("color", color)
         if color.ndim != 3 or color.shape[2] != 3 or 0 in color.shape:
-            raise InputError(f"color must have shape (height, width, 3), got {color.shape}")
+            raise InputError(f"color must have shape (height, width, 3 or 4), got {color.shape}")
         object.__setattr__(self, "color", color)
         height, width = color.shape[:2]
         for name, channels in _CHANNELS.items():
@@ -157,7 +157,7 @@ def check_samples(samples: float | np.ndarray) -> None:
     if array.ndim == 0:
         if array.dtype.kind not in "fiu" or not 0 < array <= MOST_SAMPLES:
             raise InputError(
-                f"samples must be a number above 0, {MOST_SAMPLES:g} at most, got {samples}"
+                f"samples must be a number above 0, {MOST_SAMPLES:g} at most, got {samples!r}"
             )
         return
     wrong = (array < 0) | (array > MOST_SAMPLES)  # NaN is neither
@@ -172,6 +172,7 @@ def check_samples(samples: float | np.ndarray) -> None:
 def _as_float32(name: str, value: object) -> np.ndarray:
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
-        raise InputError(f"{name} must be a real array (float16 or float32), got {array.dtype}")
+        what = array.dtype if isinstance(value, np.ndarray | list | tuple) else type(value).__name__
+        raise InputError(f"{name} must be an array of floats or integers, got {what}")
     with np.errstate(over="ignore"):  # a float64 beyond the range becomes Inf, which is repaired
         return np.ascontiguousarray(array, dtype=np.float32)

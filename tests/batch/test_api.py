@@ -113,3 +113,9 @@ def test_files_and_models_may_be_named_by_paths(shot):
 def test_options_that_contradict_each_other_are_refused(options, message):
     with pytest.raises(stillray.InputError, match=message):
         stillray.ShotOptions(**options)
+
+
+def test_options_must_be_options(tmp_path):
+    words = r"options must be a stillray\.ShotOptions, got \{'samples': 1"
+    with pytest.raises(stillray.InputError, match=words):
+        stillray.denoise_shot("a.exr", str(tmp_path / "b.exr"), options={"samples": 1})

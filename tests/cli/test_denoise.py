@@ -123,6 +123,10 @@ def test_dry_run_of_a_finished_shot_says_so(shot, capsys):
     [
         (["-m", "online"], "online needs the buffer color_b"),
         (["-m", "online-warm"], "online-warm needs the buffer color_b"),
+        (
+            ["-m", "online-warm", "--color-b", "shot.#.exr"],
+            "color-b must be the frame rendered with another seed, got itself",
+        ),
         ([*FAST, "--max-memory", "20M"], "max-memory must be "),
         (["-m", "munet-x2", "--max-memory", "4G"], "max-memory must not be given with munet-x2"),
         ([*FAST, "--provider", "NoneExecutionProvider"], "providers must be among"),

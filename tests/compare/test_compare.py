@@ -323,7 +323,7 @@ def test_sequence_page_has_flicker_of_frames_that_follow_each_other_and_means(sh
         metrics.evaluate([render(n)], [render(n + 20)], names=["smape"])["smape"] for n in (2, 3, 4)
     ]
     assert data["means"][0][names.index("smape")]["text"] == f"{np.mean(smape):.4f}"
-    assert "mean of frames: 3" in capsys.readouterr().out
+    assert "mean of the 3 of 4 with a reference" in capsys.readouterr().out
     assert main(["compare", "a.####.exr", "b.####.exr", "-r", "r.####.exr", "-o", "two.html"]) == 0
     assert "left out, not in every sequence: 3" in capsys.readouterr().err
     # 2 and 4 do not follow each other

@@ -143,6 +143,7 @@ def test_a_mean_lies_in_the_first_picture():
         ("kpyr-5", 0, "ensemble must be an integer from 1 to 4 with kpyr-5, got 0"),
         ("kpyr-5", 5, "ensemble must be an integer from 1 to 4 with kpyr-5, got 5"),
         ("kpyr-5", 2.0, "ensemble must be an integer from 1 to 4 with kpyr-5, got 2.0"),
+        ("kpyr-5", True, "ensemble must be an integer from 1 to 4 with kpyr-5, got True"),
         ("wskp-3", 2, "ensemble must be 1 with wskp-3, got 2"),
     ],
 )

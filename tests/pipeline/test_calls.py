@@ -126,7 +126,7 @@ def test_a_frame_that_is_done_can_still_be_unwanted(what, monkeypatch):
         monkeypatch.setattr(
             plan,
             "plan_tiles",
-            lambda shape, channels, traits, *_: tiles_of(
+            lambda shape, use, traits, *_: tiles_of(
                 shape, 48, traits.tile_overlap, traits.tile_alignment
             ),
         )

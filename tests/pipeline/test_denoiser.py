@@ -317,9 +317,12 @@ def test_moving_frames_without_motion_use_no_history(denoiser):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"color": np.ones((4, 5))}, r"color must have shape \(height, width, 3\), got \(4, 5\)"),
+        (
+            {"color": np.ones((4, 5))},
+            r"color must have shape \(height, width, 3 or 4\), got \(4, 5\)",
+        ),
         ({"color": np.ones((0, 5, 3))}, "color must have shape"),
-        ({"color": np.array("x")}, "color must be a real array"),
+        ({"color": np.array("x")}, "color must be an array of floats or integers, got <U1"),
         (
             {"color": np.ones((4, 5, 3)), "albedo": np.ones((2, 5, 3))},
             r"albedo must have shape \(4, 5, 3\) like color, got \(2, 5, 3\)",
@@ -343,7 +346,7 @@ def test_moving_frames_without_motion_use_no_history(denoiser):
                 (-2.5, "-2.5"),
                 (np.inf, "inf"),
                 (np.nan, "nan"),
-                ("16", "16"),
+                ("16", "'16'"),
                 (np.full((4, 5), -1.0), "-1 at row 0, column 0"),
                 (np.where(np.eye(4, 5)[::-1] * np.arange(5) > 2, np.inf, 1), "inf at row 0"),
             ]
@@ -375,6 +378,35 @@ def test_memory_must_be_a_number_of_bytes(memory):
         stillray.Denoiser("fast", max_memory=memory)
     with pytest.raises(stillray.InputError, match=words):
         stillray.ShotOptions(max_memory=memory)
+
+
+@pytest.mark.parametrize("temporal", ["no", 0, None])
+def test_temporal_must_be_true_or_false(temporal):
+    with pytest.raises(
+        stillray.InputError, match=f"temporal must be True or False, got {temporal!r}"
+    ):
+        stillray.Denoiser("fast", temporal=temporal)
+
+
+def test_progress_must_be_something_to_call(denoiser):
+    frame = make_frame(9, 9)
+    with pytest.raises(stillray.InputError, match=r"progress must be something to call.* got 3"):
+        denoiser.denoise(frame, progress=3)
+    assert np.isfinite(denoiser.denoise(frame)).all()  # and nothing is held up by it
+
+
+def test_one_image_says_that_its_albedo_has_no_noise():
+    frame = make_frame(40, 50)
+    found = [
+        stillray.denoise(frame.color, frame.albedo, samples=4, clean_features=clean)
+        for clean in (False, True)
+    ]
+    with stillray.Denoiser("high", temporal=False) as denoiser:
+        expected = denoiser.denoise(
+            Frame(color=frame.color, albedo=frame.albedo, samples=4, clean_features=True)
+        )
+    np.testing.assert_array_equal(found[1], expected)
+    assert np.abs(found[0] - found[1]).max() > 1e-3
 
 
 def test_a_frame_must_be_a_frame():

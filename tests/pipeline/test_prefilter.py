@@ -207,7 +207,7 @@ def test_tiles_give_what_the_whole_frame_gives(monkeypatch, prefilter, context):
     whole = prefilter.denoised(frame, context, None).albedo
     plans = []
 
-    def plan(shape, channels, traits, max_memory, name):
+    def plan(shape, use, traits, max_memory, name):
         plans.append(tiles_of(shape, 160, traits.tile_overlap, traits.tile_alignment))
         return plans[-1]
 

@@ -246,6 +246,8 @@ def denoise_shot(
     >>> import stillray
     >>> stillray.denoise_shot("shot.####.exr", "clean.####.exr")  # doctest: +SKIP
     """
+    if not isinstance(options, ShotOptions | None):
+        raise InputError(f"options must be a stillray.ShotOptions, got {options!r}")
     given = [sources] if isinstance(sources, str | os.PathLike) else sources
     named = [os.fspath(source) for source in given]
     planned = plan_run(named, str(output), str(model), options or ShotOptions())

@@ -142,6 +142,11 @@ def plan_shot(
         role: map_companions(pattern, files, name=role)
         for role, pattern in (companions or {}).items()
     }
+    for file, path in zip(files, features.get("color_b", ()), strict=False):
+        if file.path.samefile(path):
+            raise InputError(
+                f"color-b must be the frame rendered with another seed, got itself: {path}"
+            )
     for path in outputs.values():
         if path.suffix.lower() not in SUFFIXES:
             raise InputError(f"output must be a {', '.join(SUFFIXES)} file, got {path}")

@@ -100,9 +100,16 @@ def _print_figures(sources: Sources, summary: Summary) -> None:
         return
     table = Table(box=None, pad_edge=False)
     measured = sum(frame.reference is not None for frame in sources.frames)
-    table.add_column("image" if len(sources.frames) == 1 else f"mean of frames: {measured}")
+    count = len(sources.frames)
+    of_all = f"{count} frames"
+    if measured < count:
+        of_all = f"the {measured} of {count} with a reference"
+    table.add_column("image" if count == 1 else f"mean of {of_all}")
     for metric in shown:
         table.add_column(metric.title, justify="right")
-    for label, row in zip(sources.labels, scores.table(summary.values, shown), strict=True):
+    rows = scores.table(summary.values, shown)
+    for label, row in zip(sources.labels, rows, strict=True):
         table.add_row(label, *(cell.text for cell in row))
     console().print(table)
+    if any(cell.text == "–" for row in rows for cell in row):
+        print("– where pixels are not finite, or nothing is to measure by: see the page")

@@ -119,16 +119,18 @@ def _layers(job: ShotFrame, layout: Layout) -> dict[str, Any]:
 
 def _stages(shot: PlannedShot, frames: Sequence[Sequence[ViewFrame]]) -> list[dict[str, Any]]:
     """Of the last of consecutive frames, in its first view; every view is checked."""
+    from stillray.pipeline.opening import network_path
     from stillray.pipeline.plan import Asked, plan_frames
     from stillray.pipeline.prefilter import foretold
 
-    told = []
+    told, work = [], shot.work
     for views in zip(*frames, strict=True):
         asked = Asked(
             model=shot.model.name,
             temporal=shot.options.temporal and shot.model.spec.knows_past,
             layers=list(views[-1].lights),
-            max_memory=shot.work.memory_of_view,
+            max_memory=work.memory_of_view,
+            integers=network_path(shot.model, work.precision, work.providers) != shot.model.path,
         )
         before = [foretold(view.frame, shot.model.spec) for view in views]
         plans = plan_frames([frame for _, frame in before], shot.family, asked)

@@ -11,6 +11,10 @@ if TYPE_CHECKING:
     from stillray.models.registry import ModelInfo
 
 _WORK_SIZE = 1280, 720  # pixels
+_NOTE = """
+Scores: of sequences of 1 sample a pixel, with the weights as they were exported; bias in %.
+Found by name, too: {unlisted}.
+Names that end in -still are what qualities are of frames that have no past."""
 
 
 def models(
@@ -25,13 +29,14 @@ def models(
     ] = False,
 ) -> None:
     """List the models: inputs, size and validation scores."""
-    from stillray.models.registry import list_models
+    from stillray.models.registry import list_models, unlisted_models
 
     found = list_models()
     if as_json:
         print(json.dumps([_as_dict(model) for model in found], indent=2))
     else:
         _print_table(found)
+        print(_NOTE.format(unlisted=", ".join(unlisted_models())))
         if verbose:
             _print_differences(found)
 

@@ -139,6 +139,11 @@ def _folder() -> Path:
 UNLISTED = "unlisted"
 
 
+def unlisted_models() -> list[str]:
+    """Names of the models that are found by name and not listed."""
+    return sorted(_files(UNLISTED))
+
+
 def _files(folder: str = "") -> dict[str, Path]:
     """Packaged models by name."""
     paths = sorted((_folder() / folder).glob("*.onnx"))

@@ -13,7 +13,7 @@ from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.oidn.constants import OIDN_FILTER_TYPE_RT, OIDN_FILTER_TYPE_RT_LIGHTMAP
 from stillray.pipeline.denoiser import Denoiser
-from stillray.pipeline.tiles import floor_bytes
+from stillray.pipeline.tiles import MemoryUse
 
 #: What filters an albedo that is given alone.
 ALBEDO_MODEL = "kpyr-5s-albedo"
@@ -99,7 +99,8 @@ def filtered(
     denoiser.max_memory = None
     if parameters.max_memory_mb >= 0:
         scratch = parameters.max_memory_mb << 20
-        denoiser.max_memory = floor_bytes(frame.shape, frame.channels) + scratch
+        use = MemoryUse(channels=frame.channels, past=False)
+        denoiser.max_memory = use.floor_bytes(frame.shape) + scratch
     result = denoiser.denoise(frame, encoding=encoding.value)
     return result if subject.shape[2] == 3 else result[..., :1]
 

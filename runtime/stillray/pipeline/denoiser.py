@@ -34,7 +34,7 @@ from stillray.models.session import Provider
 from stillray.pipeline.layers import validated
 from stillray.pipeline.opening import engine_of_model, family_of_model, model_of, network_path
 from stillray.pipeline.output import Target
-from stillray.pipeline.plan import Asked, plan_frame
+from stillray.pipeline.plan import Asked, plan_frame, require_memory
 from stillray.pipeline.prefilter import PREFILTER, Prefilter, foretold, prefilter_stages
 from stillray.pipeline.tiles import check_memory
 from stillray.pipeline.turns import Turns
@@ -107,13 +107,15 @@ class Denoiser:
     ) -> None:
         threads = _checked_threads(threads)
         check_memory(max_memory)
+        if not isinstance(temporal, bool):
+            raise InputError(f"temporal must be True or False, got {temporal!r}")
         if isinstance(providers, str):
             raise InputError(f"providers must be a sequence of names, got the string '{providers}'")
         chosen = tuple(providers) if providers else None
         if isinstance(model, str) and not temporal:
             model = for_single_frames(model)
         self.model = model_of(model)
-        if ensemble != 1:
+        if ensemble != 1 or isinstance(ensemble, bool):
             self.model = with_overrides(self.model, ensemble=ensemble)
         #: Whether frames are accumulated.
         self.temporal = temporal and self.model.spec.knows_past
@@ -376,6 +378,8 @@ class Denoiser:
     @contextmanager
     def _turn(self, progress: Progress | None) -> Iterator[Engine]:
         """A frame's turn, looked at; gives what runs networks."""
+        if progress is not None and not callable(progress):
+            raise InputError(f"progress must be something to call, or None, got {progress!r}")
         with self._turns.take():
             before, self.last_timings = self.last_timings, {}
             watch = self._strips.watch
@@ -398,6 +402,7 @@ class Denoiser:
         )
         first = prefilter_stages(frame, self.model.spec)
         if self._prefilter is not None and any(stage.runs for stage in first):
+            require_memory(frame, self._family, self._asked(layers))  # more than a prefilter's
             with timed(self.last_timings, PREFILTER):
                 frame = self._prefilter.denoised(frame, context, self.max_memory)
         step = self._family.step(self._plan(frame, layers, context), context)
@@ -409,13 +414,16 @@ class Denoiser:
         return step.image, images, step.finish()
 
     def _plan(self, frame: Frame, layers: Collection[str], context: Context) -> Plan:
-        asked = Asked(
+        return plan_frame(frame, self._state, self._family, self._asked(layers), context)
+
+    def _asked(self, layers: Collection[str]) -> Asked:
+        return Asked(
             model=self.model.name,
             temporal=self.temporal,
             layers=layers,
             max_memory=self.max_memory,
+            integers=self.precision == "int8",
         )
-        return plan_frame(frame, self._state, self._family, asked, context)
 
     def _remember(self, state: State) -> None:
         self._strips.watch.last()  # first: a frame that is not wanted leaves no trace
@@ -459,6 +467,7 @@ def denoise(
     depth: np.ndarray | None = None,
     samples: float | np.ndarray | None = None,
     filter_spread: float | None = None,
+    clean_features: bool = False,
     model: str | os.PathLike[str] | ModelInfo = DEFAULT_MODEL,
     threads: int | None = None,
     ensemble: int = 1,
@@ -477,6 +486,8 @@ def denoise(
         Samples a pixel of color, see `Frame`.
     filter_spread : number, optional
         Standard deviation of the renderer's pixel filter, in pixels, see `Frame`.
+    clean_features
+        Whether the albedo has no noise, see `Frame`.
     model, threads, ensemble
         As `Denoiser`'s.
 
@@ -496,6 +507,7 @@ def denoise(
         depth=depth,
         samples=samples,
         filter_spread=filter_spread,
+        clean_features=clean_features,
     )
     with Denoiser(model, threads=threads, temporal=False, ensemble=ensemble) as denoiser:
         return denoiser.denoise(frame)

@@ -9,7 +9,7 @@ from stillray.arrays.strips import Strips
 from stillray.errors import InputError
 from stillray.families.contract import Context, Family, Request, State
 from stillray.frame import Frame
-from stillray.pipeline.tiles import plan_tiles
+from stillray.pipeline.tiles import MemoryUse, plan_tiles
 from stillray.stages.plan import Plan
 
 #: How a buffer that is missing comes about, where that is not plain.
@@ -30,12 +30,20 @@ class Asked:
         Names of other layers that are to be filtered.
     max_memory
         Bytes that the process should stay below; None for whole frames.
+    integers
+        Whether the network computes in integers, which takes less.
     """
 
     model: str
     temporal: bool = True
     layers: Collection[str] = ()
     max_memory: int | None = None
+    integers: bool = False
+
+    def memory_use(self, frame: Frame) -> MemoryUse:
+        """What decides how much memory a frame takes."""
+        channels = frame.channels + 3 * len(self.layers)
+        return MemoryUse(channels=channels, past=self.temporal, integers=self.integers)
 
 
 def plan_frame(
@@ -64,8 +72,8 @@ def plan_frame(
     if missing := sorted(traits.required - frame.given):
         how = _HOW.get(missing[0], "")
         raise InputError(f"{asked.model} needs the buffer {missing[0]}, which is not given{how}")
-    channels = frame.channels + 3 * len(layers)
-    tiles = plan_tiles(frame.shape, channels, traits, asked.max_memory, asked.model)
+    use = asked.memory_use(frame)
+    tiles = plan_tiles(frame.shape, use, traits, asked.max_memory, asked.model)
     if layers and not traits.linear:
         raise InputError(f"layers must be none with {asked.model}, got {', '.join(layers)}")
     if layers and len(tiles) > 1:
@@ -93,3 +101,8 @@ def plan_frames(frames: Iterable[Frame], family: Family, asked: Asked) -> list[P
         before = plans[-1] if plans else None
         plans.append(plan_frame(frame, before, family, asked, context))
     return plans
+
+
+def require_memory(frame: Frame, family: Family, asked: Asked) -> None:
+    """Raise `InputError` where not even tiles of a frame fit into what is asked, see `Asked`."""
+    plan_tiles(frame.shape, asked.memory_use(frame), family.traits, asked.max_memory, asked.model)

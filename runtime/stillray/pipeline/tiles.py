@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
 from numbers import Real
 
 from stillray.arrays.tiles import Tile, tiles_of
@@ -19,14 +20,16 @@ from stillray.families.contract import Traits
 #: Bytes of a process that has loaded a model and denoised nothing: 115 to 130 MiB, and spare.
 BASE_BYTES = 150 << 20
 #: Bytes a pixel of the whole frame whatever it holds, and for each channel that is given: the
-#: floor under any bound. They hold the buffers of the frame in work, of the next and of the last,
-#: history, what is prepared, and the picture on its way out. Runs of three frames of 1280 x 720
-#: with wskp-3 in small tiles took 125 bytes a pixel with color alone and 425 with 12 channels, the
-#: past among them; kpyr-5, which also remembers its output, 530. A tenth is spare.
-PIXEL_BYTES, CHANNEL_BYTES = 60, 44
-#: Bytes a pixel of a tile: features, network and reconstruction. 860 of kpyr-5 in floats, which
-#: take 245 more than integers, and a tenth to spare.
-TILE_BYTES = 950
+#: floor under any bound. They hold the buffers of the frame in work and of the next, what is
+#: prepared, and the picture on its way out. Runs of three frames of 1920 x 1080 with kpyr-5-still
+#: took 117 bytes a pixel with color alone and 433 with 12 channels; a tenth is spare.
+PIXEL_BYTES, CHANNEL_BYTES = 15, 39
+#: And where frames have a past, which holds the history and the last frame's buffers: of 1280 x 720
+#: 530 with 12 channels of kpyr-5, which remembers its output, too.
+PAST_PIXEL_BYTES, PAST_CHANNEL_BYTES = 60, 44
+#: Bytes a pixel of a tile: features, network and reconstruction. 860 of kpyr-5 in floats and 630 of
+#: kpyr-5-still in integers, and a tenth to spare.
+TILE_BYTES, INTEGER_TILE_BYTES = 950, 690
 #: More where several views of the frame are averaged, each of which is done after the other:
 #: 340 measured.
 VIEWS_BYTES = 380
@@ -49,37 +52,58 @@ def parse_memory(text: str) -> int:
 
 
 def check_memory(max_memory: float | None) -> None:
-    """Raise `InputError` where what should be bytes, or None, is no number."""
+    """Raise `InputError` where what should be bytes, or None, is no number above 0."""
     number = isinstance(max_memory, Real) and not isinstance(max_memory, bool)
-    if max_memory is not None and (not number or math.isnan(max_memory)):
+    if max_memory is not None and not (number and max_memory > 0):
         raise InputError(
-            f"max_memory must be a number of bytes, such as 4 << 30, or None, got {max_memory!r}"
+            f"max_memory must be a number of bytes above 0, such as 4 << 30, or None, "
+            f"got {max_memory!r}"
         )
 
 
-def floor_bytes(shape: tuple[int, int], channels: int) -> int:
-    """Bytes that a process takes however small its tiles are.
+@dataclass(frozen=True, kw_only=True)
+class MemoryUse:
+    """What decides how much memory a frame takes, beside its size.
 
-    Parameters
+    Attributes
     ----------
-    shape
-        Height and width, pixels.
     channels
         Numbers a pixel that are given: 3 for color alone, 6 with albedo.
+    past
+        Whether frames are accumulated.
+    integers
+        Whether the network computes in integers.
     """
-    height, width = shape
-    return BASE_BYTES + (PIXEL_BYTES + CHANNEL_BYTES * channels) * height * width
+
+    channels: int
+    past: bool = True
+    integers: bool = False
+
+    def floor_bytes(self, shape: tuple[int, int]) -> int:
+        """Bytes that a process takes however small its tiles are, of ``(height, width)`` pixels."""
+        pixel, channel = PIXEL_BYTES, CHANNEL_BYTES
+        if self.past:
+            pixel, channel = PAST_PIXEL_BYTES, PAST_CHANNEL_BYTES
+        height, width = shape
+        return BASE_BYTES + (pixel + channel * self.channels) * height * width
+
+    def tile_bytes(self, traits: Traits) -> int:
+        """Bytes that a pixel of a tile takes."""
+        of_views = VIEWS_BYTES if traits.views > 1 else 0
+        return (INTEGER_TILE_BYTES if self.integers else TILE_BYTES) + of_views
 
 
 def plan_tiles(
-    shape: tuple[int, int], channels: int, traits: Traits, max_memory: int | None, name: str
+    shape: tuple[int, int], use: MemoryUse, traits: Traits, max_memory: float | None, name: str
 ) -> list[Tile]:
     """The largest tiles with which a process stays below a memory.
 
     Parameters
     ----------
-    shape, channels
-        As `floor_bytes` takes them.
+    shape
+        Height and width, pixels.
+    use
+        What else decides how much memory the frame takes.
     traits
         Of the model's family.
     max_memory
@@ -99,16 +123,23 @@ def plan_tiles(
         return tiles_of(shape, max(shape), 0, multiple)
     if halo is None:
         raise InputError(f"max-memory must not be given with {name}, which takes whole frames")
-    fixed = floor_bytes(shape, channels)
-    of_tile = TILE_BYTES + (VIEWS_BYTES if traits.views > 1 else 0)
+    fixed, of_tile = use.floor_bytes(shape), use.tile_bytes(traits)
     least = min(max(_LEAST_INNER, halo) + 2 * halo, max(shape))
     needed = fixed + of_tile * min(least, height) * min(least, width)
     if max_memory < needed:
         raise InputError(
-            f"max-memory must be {needed / _UNITS['M']:.0f}M or more for {width} x {height} "
-            f"pixels with {name}, got {max_memory / _UNITS['M']:.0f}M"
+            f"max-memory must be {math.ceil(needed / _UNITS['M'])}M or more for {width} x {height} "
+            f"pixels with {name}, got {_told(max_memory)}"
         )
     pixels = (max_memory - fixed) // of_tile
     if pixels >= height * width:
         return tiles_of(shape, max(shape), halo, multiple)
     return tiles_of(shape, max(int(pixels**0.5), least), halo, multiple)
+
+
+def _told(amount: float) -> str:
+    """An amount of bytes as it may be given, ``1.5M``."""
+    for unit in "TGMK":
+        if amount >= _UNITS[unit]:
+            return f"{amount / _UNITS[unit]:.4g}{unit}"
+    return f"{amount:g} bytes"

@@ -174,7 +174,7 @@ def try_model(model: str) -> Finding:
             clean = denoiser.denoise(Frame(color=np.full((16, 16, 3), 0.5)))
             name, precision = denoiser.model.name, denoiser.precision
     except InputError as error:
-        return Finding(PROBLEM, f"{model} cannot be used: {error}: reinstall stillray")
+        return Finding(PROBLEM, f"{model} cannot be used: {error}")
     if not np.allclose(clean, 0.5, rtol=1e-3):
         return Finding(
             PROBLEM,
