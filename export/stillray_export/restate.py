@@ -48,12 +48,12 @@ def restate(path: Path, validation: Path | None = None) -> list[Path]:
     stillray_export.parity.ParityError
         The whole graph would differ from the runtime by more than rounding.
     InputError
-        There is no such model, or there is nothing to tell: it says all of it already, or today's
-        specification is of another network.
+        There is no such model, there is nothing to tell (it says all of it already, and no scores
+        are asked for), or today's specification is of another network.
     """
     info = find_model(path)
     spec = as_specified_now(info.spec)
-    if spec.to_json() == info.spec.to_json():
+    if validation is None and spec.to_json() == info.spec.to_json():
         raise InputError(f"model must say something else than its specification today, got {path}")
     whole = path.with_name(f"{path.stem}{WHOLE_SUFFIX}.onnx")
     files = [file for file in (path, whole, int8_path(path), pairs_path(path)) if file.is_file()]

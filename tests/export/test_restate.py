@@ -3,6 +3,7 @@
 import dataclasses
 import shutil
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -112,3 +113,13 @@ def test_a_model_that_says_it_already_is_left_alone(former):
     main(str(former))
     with pytest.raises(InputError, match="model must say something else"):
         restate(former)
+
+
+def test_scores_alone_can_be_told_anew(former, monkeypatch):
+    main(str(former))
+    scores = {"psnr": 29.5, "bias": 0.8}
+    monkeypatch.setattr("stillray_export.restate.scores_of", lambda path, validation: scores)
+    files = restate(former, Path("validation"))
+    assert find_model(files[0]).scores == scores
+    files = [former, *integers_of(former)]
+    assert all(is_made_of(path, source) for source, path in pairwise(files))
