@@ -118,6 +118,9 @@ def stage_costs(info: ModelInfo, frame: Frame, precision: str = "float32") -> di
 #: Of small lamps where none was lost: light times albedo, two luminances; for three sizes of blocks
 #: the least sample and the largest pixel of the picture, of four comparisons each; which are lost.
 LAMPS = (3 + 2 * 5 + 1 + 3 * 2 * 4 + 4 * 2, 4 + 3 + 3 + 2 + 2)
+#: Of rare light two luminances, the picture around, how far above it and next to it, each limited
+#: and halved thrice; of blocks nothing to speak of.
+RARE_LIGHT = (2 * 5 + 4 + 2 + 1 + 2 * 2, 2 * 3 + 2)
 #: Weight, luminance of the past, four planes halved; at half resolution and a third more of it,
 #: four window sums, the error of a difference and what it leaves, twice at the finest.
 REJECT_HISTORY = (8 + 5 + 7 + 4 + 1 / 3 * (4 * WINDOW_SUM + 2 * 14), 2 + 1 + 4 + 4 / 3 * 8)
@@ -148,6 +151,8 @@ def _each_target_pixel(family: FeatureFiltersModel, frame: Frame) -> dict[str, t
         "encode": (9 * (4 + EXP) + 10 * EXP, enlarged + remembered + features),
         "reconstruct": (operations, planes),
         "lamps": (share * LAMPS[0] + 3, 3 + share * LAMPS[1]),
+        # of a picture of the frame's size
+        "rare_light": (3 + share * RARE_LIGHT[0], 3 + share * RARE_LIGHT[1]),
         "remember": (EXP, 2 * remembered),
     }
 
@@ -189,9 +194,7 @@ def _each_pixel(family: TemporalKernels, frame: Frame) -> dict[str, tuple[float,
         "reconstruct": (operations, planes),
         "remodulate": (3, 3),
         "lamps": LAMPS,
-        # two luminances, the picture around, how far above it and next to it, each limited and
-        # halved thrice; of blocks nothing to speak of
-        "rare_light": (2 * 5 + 4 + 2 + 1 + 2 * 2, 2 * 3 + 2),
+        "rare_light": RARE_LIGHT,
         # three window sums, what pixels count, two luminances and what was taken; fifteen products
         # and their sums; three slopes between blocks, the gain of three channels
         "relief": (
