@@ -88,6 +88,8 @@ def test_frames_without_a_past_and_integers_take_less_memory():
             plan_tiles((1080, 1920), use, traits, (enough - 250) << 20, "kpyr-5-still")
     assert len(plan_tiles((1080, 1920), alone, traits, 2600 << 20, "kpyr-5-still")) == 1
     assert len(plan_tiles((1080, 1920), ALL, traits, 2600 << 20, "kpyr-5-still")) > 1
+    past = replace(ALL, integers=True)
+    assert past.tile_bytes(traits) == ALL.tile_bytes(traits)  # its floor takes what they spare
 
 
 @pytest.mark.parametrize("amount", [1000, 700 << 10, 300 << 20])

@@ -124,13 +124,14 @@ def _stages(shot: PlannedShot, frames: Sequence[Sequence[ViewFrame]]) -> list[di
     from stillray.pipeline.prefilter import foretold
 
     told, work = [], shot.work
+    network = network_path(shot.model, work.precision, work.providers)
     for views in zip(*frames, strict=True):
         asked = Asked(
             model=shot.model.name,
             temporal=shot.options.temporal and shot.model.spec.knows_past,
             layers=list(views[-1].lights),
             max_memory=work.memory_of_view,
-            integers=network_path(shot.model, work.precision, work.providers) != shot.model.path,
+            integers=network != shot.model.path,
         )
         before = [foretold(view.frame, shot.model.spec) for view in views]
         plans = plan_frames([frame for _, frame in before], shot.family, asked)
