@@ -188,7 +188,7 @@ NARROWED_IN_TRAINING = {
     "stillray_training.peers.kernel_prediction.options_of": "a peer's options, of its model's",
     "stillray_training.peers.multi_resolution_prediction._decode": _A_DECODER,
     "stillray_training.peers.multi_resolution_prediction._network": _A_NETWORK,
-    "stillray_training.upscaling.clips.load_clip": "of the one family that has clips",
+    "stillray_training.upscaling.clip.load_clip": "of the one family that has clips",
     "stillray_training.upscaling.study.variants": _A_STUDY,
 }
 

@@ -21,7 +21,9 @@ from stillray.families.feature_filters import FeatureFiltersModel  # noqa: E402
 from stillray.frame import Frame  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray_training import contact_sheets as sheets  # noqa: E402
+from stillray_training.bright_windows import draw_window  # noqa: E402
 from stillray_training.checkpoint import load_network  # noqa: E402
+from stillray_training.fine_shapes import FINE  # noqa: E402
 from stillray_training.loss_log import LOG  # noqa: E402
 from stillray_training.machine import Batches, Machine  # noqa: E402
 from stillray_training.networks.fuse import fuse  # noqa: E402
@@ -37,13 +39,11 @@ from stillray_training.upscaling import (  # noqa: E402
     time_in_turn,
     unroll,
 )
-from stillray_training.upscaling.clips import (  # noqa: E402
-    ClipSampler,
-    load_clip,
-    of_several_samples,
-)
+from stillray_training.upscaling.clip import load_clip, of_several_samples  # noqa: E402
+from stillray_training.upscaling.clips import ClipSampler  # noqa: E402
 from stillray_training.upscaling.price_list import Way, prices  # noqa: E402
 from stillray_training.upscaling.time_in_turn import times_in_turn  # noqa: E402
+from stillray_training.upscaling.windows import frame_behind_bars, through_window  # noqa: E402
 
 
 def small(name="munet-x2", **recipe):
@@ -335,6 +335,57 @@ def test_frames_are_of_several_samples_in_a_share_of_still_patches(tmp_path):
             np.allclose(np.abs(b["offset"]), np.abs(b["offset"]).max()) for (b, *_) in batches
         ]
         assert sum(without) == expected
+
+
+def test_a_frame_meets_a_window_where_its_samples_lie(tmp_path):
+    frame = still_clip(tmp_path / "still-0-0", frames=1).frames[0]
+    depth = np.full((20, 24), 3.0, np.float32)
+    for seed in range(8):
+        window = draw_window(depth[..., None], depth, None, np.random.default_rng(seed))
+        seen = frame_behind_bars(frame, window, 2)
+        x, y = frame.jitter
+        for row, column in np.ndindex(10, 12):
+            at = int((row + 0.5 + y) * 2 * FINE), int((column + 0.5 + x) * 2 * FINE)
+            dimmed = window.light[2 * row : 2 * row + 2, 2 * column : 2 * column + 2].mean()
+            pixel = (row, column)
+            if window.opening[at]:
+                np.testing.assert_array_equal(seen.color[pixel], window.lamp.radiance)
+                np.testing.assert_array_equal(seen.albedo[pixel], window.lamp.albedo)
+                assert seen.depth[pixel] == np.float32(window.lamp.distance)
+                assert not seen.specular_albedo[pixel].any()
+            else:
+                np.testing.assert_allclose(seen.color[pixel], frame.color[pixel] * dimmed, 1e-5)
+                np.testing.assert_array_equal(seen.normal[pixel], frame.normal[pixel])
+
+
+def test_many_frames_behind_bars_are_their_reference(tmp_path):
+    clip = still_clip(tmp_path / "still-0-0", frames=1)
+    spec = small()
+    spec = replace(spec, temporal=replace(spec.temporal, outlier_ratio=1e9))  # nothing bounded
+    flat = replace(clip.references[0], color=np.ones((20, 24, 3), np.float32))
+    lit = replace(clip.frames[0], color=np.ones((10, 12, 3), np.float32))
+    steps = (np.arange(16) + 0.5) / 16 - 0.5
+    jitters = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2).astype(np.float32)
+    frames = [replace(lit, jitter=jitter) for jitter in jitters]
+    many = replace(clip, frames=frames, references=[flat] * len(frames))
+    for seed in range(4):
+        made = through_window(many, spec, np.random.default_rng(seed))
+        assert len(made.exposures) == len(made.depth_units) == len(made.references) == 256
+        assert made.references[-1].color.max() > 2
+        mean = np.mean([frame.color for frame in made.frames], axis=0)
+        wanted = cv2.resize(made.references[-1].color, (12, 10), interpolation=cv2.INTER_AREA)
+        np.testing.assert_allclose(mean, wanted, rtol=0.05)
+
+
+def test_windows_are_painted_into_a_share_of_still_patches(tmp_path):
+    clip = still_clip(tmp_path / "still-0-0")
+    recipe = {"frames": 3, "batch": 1}
+    plain = ClipSampler([clip], small(**recipe)).batch(0)
+    for share, still, expected in ((0.0, True, 0), (1.0, True, 10), (1.0, False, 0)):
+        sampler = ClipSampler([replace(clip, still=still)], small(window_share=share, **recipe))
+        brightest = [sampler.batch(step)[0]["wanted"].max() for step in range(10)]
+        lit = sum(light > 2 * plain[0]["wanted"].max() for light in brightest)
+        assert lit >= 0.5 * expected if expected else lit == 0
 
 
 def test_where_nothing_moves_one_reference_is_enough(tmp_path):

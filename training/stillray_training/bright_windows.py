@@ -42,10 +42,13 @@ class Window:
     light : (h, w) float32
         What the light of a pixel's other samples is multiplied by: bars before a window are lit
         from behind.
+    opening : (FINE h, FINE w) float32
+        1 where bars leave the window open, 0 elsewhere; `FINE` points a pixel along each axis.
     """
 
     lamp: Lamp
     light: np.ndarray
+    opening: np.ndarray
 
 
 def draw_window(
@@ -80,7 +83,7 @@ def draw_window(
     )
     darker = 10 ** -rng.uniform(*_DARKER) if rng.random() < 0.5 else 1.0
     light = 1 - seen_through(inside, spread) * np.float32(1 - darker)
-    return Window(lamp=lamp, light=light)
+    return Window(lamp=lamp, light=light, opening=open_)
 
 
 def _openings(shape: tuple[int, int], rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

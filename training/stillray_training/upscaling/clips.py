@@ -1,199 +1,31 @@
-"""Sequences to learn from: frames at their size, and references of every frame at the picture's."""
+"""Patches of sequences to learn from, turned, recolored and painted."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 
-from stillray.arrays.strips import Strips
 from stillray.errors import InputError
-from stillray.families.target_grid import Grid, dilated
+from stillray.families.target_grid import Grid
 from stillray.frame import Frame
-from stillray.io.exr.read import read_exr
 from stillray.model_spec import ModelSpec
 from stillray.model_spec.decoders import FeatureFilters
 from stillray.model_spec.training import Training
-from stillray.stages import features
 from stillray.stages.accumulate import bounded
-from stillray.stages.repair import repair_feature
-from stillray_training.blocks import frame_paths
 from stillray_training.paint import blackened, repainted
 from stillray_training.quiet import fireflies
 from stillray_training.shade import moving_shade, switched
-from stillray_training.simulate.sequence import RECORD
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Clip:
-    """A sequence, one entry a frame.
-
-    Attributes
-    ----------
-    frames
-        With every buffer; motion is dilated.
-    references
-        Color, albedo and specular albedo of the picture's size.
-    exposures
-        1 / radiance, steadied as the runtime does.
-    depth_units
-        See `stillray.stages.features.depth_scale`.
-    still
-        Whether nothing moves: all frames have the same reference.
-    """
-
-    frames: list[Frame]
-    references: list[Frame]
-    exposures: list[float]
-    depth_units: list[float]
-    still: bool = False
-
+from stillray_training.upscaling.clip import Clip, of_several_samples
+from stillray_training.upscaling.windows import through_window
 
 _SWITCHED = 0.25  # share of the changes of light that are of all of it at once
 _BLACK = 0.3  # share of painted patches whose light is not painted
 _WANDERING = 0.5  # share of fireflies that come a pixel on with every frame
-_CLEANER = 4.0  # octaves of noise that means may lose
-_GUIDES = ("motion", "depth", "albedo", "normal", "roughness", "specular_albedo")
 #: A frame of a patch: arrays by name, channels first.
 Sample = dict[str, np.ndarray]
-
-
-def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
-    """Read a rendered sequence; targets, where there are some, take the place of references.
-
-    Where nothing moves, the last frame's reference is that of all.
-
-    Raises
-    ------
-    InputError
-        A frame has no reference of the picture's size with albedos, or no guides.
-    """
-    assert isinstance(spec.decoder, FeatureFilters)
-    record = json.loads((sequence / RECORD).read_text())
-    frames: list[Frame] = []
-    references: list[Frame] = []
-    exposures: list[float] = []
-    units: list[float] = []
-    paths = frame_paths(sequence)
-    scale, shared = spec.decoder.scale, _stands_still(record)
-    for path in paths:
-        frame = _frame(path, record)
-        motion, depth = frame.motion, frame.depth
-        assert motion is not None
-        assert depth is not None
-        own = features.frame_exposure(features.luminance(frame.color), spec.transfer)
-        if exposures:
-            own = features.steady_exposure(own, exposures[-1], spec.transfer)
-        exposures.append(own)
-        color = bounded(frame.color, own, spec.transfer, spec.temporal)
-        frame = replace(frame, color=color, motion=dilated(motion, depth, strips))
-        frames.append(frame)
-        if shared and references:
-            references.append(references[0])
-        else:
-            number = _number(paths[-1] if shared else path)
-            references.append(_reference(sequence, number, frame, scale))
-        units.append(features.depth_scale(depth))
-    return Clip(
-        frames=frames,
-        references=references,
-        exposures=exposures,
-        depth_units=units,
-        still=shared,
-    )
-
-
-def _frame(path: Path, record: dict[str, Any]) -> Frame:
-    """A frame with every guide, repaired as the runtime hands them on, and its jitter."""
-    frame = read_exr(path)
-    rough, glossy = frame.roughness, frame.specular_albedo
-    if rough is None or glossy is None or not frame.given.issuperset(_GUIDES):
-        raise InputError(f"{path}: must have {', '.join(_GUIDES)}")
-    rough, glossy = (repair_feature(guide, 0.0, 1.0) for guide in (rough, glossy))
-    frame = replace(frame, roughness=rough, specular_albedo=glossy)
-    if frame.jitter is not None:
-        return frame
-    jitter = record["cameras"][_number(path)]["jitter"]
-    return replace(frame, jitter=np.array(jitter, np.float32))
-
-
-def _stands_still(record: dict[str, Any]) -> bool:
-    """Whether neither the camera nor anything else of a sequence moves."""
-    places = [camera.get("camera_to_world") for camera in record["cameras"]]
-    moving = record.get("moving", True)
-    return not moving and all(place == places[0] for place in places)
-
-
-def _number(path: Path) -> int:
-    return int(path.stem.split("_")[1])
-
-
-def _reference(sequence: Path, number: int, frame: Frame, scale: int) -> Frame:
-    path = sequence / f"ref_{number:04d}.exr"
-    if not path.is_file():
-        raise InputError(f"{sequence}: every frame must have a reference, {path.name} is missing")
-    reference = read_exr(path)
-    height, width = size = (frame.shape[0] * scale, frame.shape[1] * scale)
-    larger = reference.shape[0] // height
-    fits = larger > 0 and reference.shape == (larger * height, larger * width)
-    if not fits or reference.albedo is None or reference.specular_albedo is None:
-        raise InputError(
-            f"{path}: must have albedo, specular_albedo and the size {size} or a multiple of it"
-        )
-    target = sequence / f"target_{number:04d}.exr"
-    color = read_exr(target).color if target.is_file() else reference.color
-
-    def mean(image: np.ndarray) -> np.ndarray:
-        # one rendered for a larger picture serves: a pixel is the mean of those that it covers
-        return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-
-    return Frame(
-        color=mean(color),
-        albedo=mean(reference.albedo),
-        specular_albedo=mean(reference.specular_albedo),
-    )
-
-
-def of_several_samples(clip: Clip, count: int, rng: np.random.Generator) -> Clip:
-    """A still clip of ``count`` frames that are means of as many of its own as there are for each,
-    or fewer.
-
-    Their samples lie all over their pixels, as those of most renderers do, so they have no jitter.
-    Half of the clips are nearer to their reference, up to a sixteenth of the noise.
-    """
-    most = len(clip.frames) // count
-    each = int(2 ** rng.uniform(0, np.log2(most + 1)))
-    noise = 2 ** -rng.uniform(0, _CLEANER) if rng.random() < 0.5 else 1.0
-    first = int(rng.integers(len(clip.frames) - count * each + 1))
-    size = clip.frames[0].shape[::-1]
-    wanted = cv2.resize(clip.references[0].color, size, interpolation=cv2.INTER_AREA)
-    frames = []
-    for start in range(first, first + count * each, each):
-        frame = _mean(clip.frames[start : start + each])
-        frames.append(replace(frame, color=wanted + np.float32(noise) * (frame.color - wanted)))
-    return replace(
-        clip,
-        frames=frames,
-        references=clip.references[:count],
-        exposures=clip.exposures[:count],
-        depth_units=clip.depth_units[:count],
-    )
-
-
-def _mean(frames: list[Frame]) -> Frame:
-    """One frame of the samples of several of the same view."""
-
-    def of(name: str) -> np.ndarray:
-        found: np.ndarray = np.mean([getattr(frame, name) for frame in frames], axis=0)
-        return found.astype(np.float32)
-
-    buffers: dict[str, Any] = {name: of(name) for name in ("color", *_GUIDES)}
-    return replace(frames[0], **buffers, jitter=np.zeros(2, np.float32))
 
 
 class ClipSampler:
@@ -249,6 +81,8 @@ class ClipSampler:
 
     def _patch(self, clip: Clip, rng: np.random.Generator, count: int) -> list[Sample]:
         recipe = self._spec.training
+        if clip.still and recipe.window_share and rng.random() < recipe.window_share:
+            clip = through_window(clip, self._spec, rng)
         if clip.still and recipe.mean_share and rng.random() < recipe.mean_share:
             clip = of_several_samples(clip, count, rng)
         first = int(rng.integers(len(clip.frames) - count + 1))

@@ -33,7 +33,8 @@ from stillray_training.losses import (
 from stillray_training.machine import Batches, Machine
 from stillray_training.networks.multi_branch import multi_branch_net
 from stillray_training.run import Run, progress_bar, sequences_in
-from stillray_training.upscaling.clips import Clip, ClipSampler, Sample, load_clip
+from stillray_training.upscaling.clip import Clip, load_clip
+from stillray_training.upscaling.clips import ClipSampler, Sample
 from stillray_training.upscaling.unroll import step as unrolled_step
 from stillray_training.upscaling.unroll import warped
 
