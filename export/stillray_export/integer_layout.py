@@ -15,13 +15,13 @@ Three changes of what ONNX Runtime's quantisation makes, each to the same intege
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import onnx
-from onnx import TensorProto, helper, numpy_helper
+from onnx import TensorProto
 
 from stillray.errors import InputError
+from stillray_export.integer_graph import IntegerGraph, attribute
 
 #: Fewer planes than this are taken by pairs of pixels.
 ENOUGH_PLANES = 32
@@ -46,7 +46,7 @@ def arrange(graph: onnx.GraphProto, *, integers_out: bool, pairs: bool) -> bool:
     bool
         Whether they are.
     """
-    network = _Network(graph)
+    network = IntegerGraph(graph)
     of_size = _of_the_frame(network)
     pairs = pairs and _may_be_paired(network, of_size)
     doublings = [
@@ -64,78 +64,7 @@ def arrange(graph: onnx.GraphProto, *, integers_out: bool, pairs: bool) -> bool:
     return pairs
 
 
-class _Network:
-    """A graph whose nodes and tensors are looked up by name."""
-
-    def __init__(self, graph: onnx.GraphProto) -> None:
-        self.graph = graph
-        self._tensors = {tensor.name: tensor for tensor in graph.initializer}
-
-    def maker(self, name: str) -> onnx.NodeProto | None:
-        """The node that gives a tensor, if one does."""
-        return next((node for node in self.graph.node if name in node.output), None)
-
-    def takers(self, name: str) -> list[onnx.NodeProto]:
-        """The nodes that take a tensor."""
-        return [node for node in self.graph.node if name in node.input]
-
-    def array(self, name: str) -> np.ndarray:
-        """The numbers of a tensor of the file."""
-        return np.asarray(numpy_helper.to_array(self._tensors[name]))
-
-    def put(self, name: str, array: np.ndarray) -> str:
-        """Set a tensor of the file, new or not; its name."""
-        tensor = numpy_helper.from_array(np.ascontiguousarray(array), name)
-        if name in self._tensors:
-            self._tensors[name].CopyFrom(tensor)
-        else:
-            self.graph.initializer.append(tensor)
-            self._tensors[name] = self.graph.initializer[-1]
-        return name
-
-    def shape(self, *sizes: int) -> str:
-        """A tensor of the file that says a shape."""
-        return self.put("shape " + " ".join(map(str, sizes)), np.array(sizes, np.int64))
-
-    def weights(self, convolution: onnx.NodeProto) -> tuple[onnx.NodeProto, onnx.NodeProto]:
-        """What makes numbers of a convolution's integers: of its weights, and of its bias."""
-        made = [self.maker(name) for name in convolution.input[1:]]
-        found = [node for node in made if node is not None]
-        if len(found) != 2:
-            raise InputError(f"{convolution.name} must have weights and a bias, in integers")
-        return found[0], found[1]
-
-    def add(self, operator: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
-        """A node more, with one output; its name."""
-        made = helper.make_node(operator, list(inputs), [output], name=output, **attributes)
-        self.graph.node.append(made)
-        return output
-
-    def in_order(self) -> list[onnx.NodeProto]:
-        """The nodes, each after those that give what it takes."""
-        left = list(self.graph.node)
-        known = {source.name for source in self.graph.input} | set(self._tensors) | {""}
-        ordered: list[onnx.NodeProto] = []
-        while left:
-            ready = [node for node in left if known.issuperset(node.input)]
-            if not ready:
-                raise InputError("the network must not go in circles")
-            ordered += ready
-            known.update(name for node in ready for name in node.output)
-            left = [node for node in left if not known.issuperset(node.output)]
-        return ordered
-
-    def finish(self) -> None:
-        """Put the nodes in order, and drop tensors that none takes."""
-        ordered = self.in_order()
-        taken = {name for node in ordered for name in node.input}
-        tensors = [tensor for tensor in self._tensors.values() if tensor.name in taken]
-        del self.graph.node[:], self.graph.initializer[:]
-        self.graph.node.extend(ordered)
-        self.graph.initializer.extend(tensors)
-
-
-def _doubled(network: _Network, resize: onnx.NodeProto) -> list[onnx.NodeProto] | None:
+def _doubled(network: IntegerGraph, resize: onnx.NodeProto) -> list[onnx.NodeProto] | None:
     """What leads to a doubling, and what follows, where a convolution gives to it alone.
 
     The convolution, what makes its integers, what makes numbers of these, and of the doubled
@@ -154,7 +83,7 @@ def _doubled(network: _Network, resize: onnx.NodeProto) -> list[onnx.NodeProto] 
     return [convolution, made, numbers, again]
 
 
-def _double_by_copies(network: _Network, resize: onnx.NodeProto, *, pairs: bool) -> None:
+def _double_by_copies(network: IntegerGraph, resize: onnx.NodeProto, *, pairs: bool) -> None:
     """Put copies in the place of a doubling; doubled pixels stay pairs, or are taken apart."""
     found = _doubled(network, resize)
     if found is None:
@@ -178,7 +107,7 @@ def _double_by_copies(network: _Network, resize: onnx.NodeProto, *, pairs: bool)
     network.add("Transpose", [below], doubled, perm=_ROWS_TO_PLANES)
 
 
-def _give_twice(network: _Network, convolution: onnx.NodeProto) -> None:
+def _give_twice(network: IntegerGraph, convolution: onnx.NodeProto) -> None:
     """Let a convolution give all its planes a second time, after the first."""
     weights, bias = network.weights(convolution)
     for name in (*weights.input, *bias.input):
@@ -187,7 +116,7 @@ def _give_twice(network: _Network, convolution: onnx.NodeProto) -> None:
             network.put(name, np.concatenate([array, array]))
 
 
-def _may_be_paired(network: _Network, of_size: Sequence[onnx.NodeProto]) -> bool:
+def _may_be_paired(network: IntegerGraph, of_size: Sequence[onnx.NodeProto]) -> bool:
     """Whether all that has the frame's size is convolved, added and little."""
     doublings = [node for node in network.graph.node if node.op_type == "Resize"]
     if any(_doubled(network, node) is None for node in doublings):
@@ -197,12 +126,12 @@ def _may_be_paired(network: _Network, of_size: Sequence[onnx.NodeProto]) -> bool
     counts = [
         len(network.array(network.weights(node)[0].input[0]))
         for node in of_size
-        if node.op_type == "Conv" and list(_attribute(node, "strides")) == [1, 1]
+        if node.op_type == "Conv" and list(attribute(node, "strides")) == [1, 1]
     ]
     return kinds <= known and 0 < max(counts, default=0) < ENOUGH_PLANES
 
 
-def _of_the_frame(network: _Network) -> list[onnx.NodeProto]:
+def _of_the_frame(network: IntegerGraph) -> list[onnx.NodeProto]:
     """Nodes that take planes of the frame's size."""
     found: list[onnx.NodeProto] = []
     doublings = [node for node in network.graph.node if node.op_type == "Resize"]
@@ -212,25 +141,25 @@ def _of_the_frame(network: _Network) -> list[onnx.NodeProto]:
         if names.isdisjoint(node.input):
             continue
         found.append(node)
-        strides = _attribute(node, "strides") if node.op_type == "Conv" else [1, 1]
+        strides = attribute(node, "strides") if node.op_type == "Conv" else [1, 1]
         if list(strides) == [1, 1]:
             names.update(node.output)
     return found
 
 
-def _reduction(network: _Network, name: str) -> int:
+def _reduction(network: IntegerGraph, name: str) -> int:
     """By how much a tensor is smaller than the frame, before anything is doubled by copies."""
     node = network.maker(name)
     if node is None:
         return 1
     if node.op_type == "Conv":
-        return _reduction(network, node.input[0]) * int(_attribute(node, "strides")[0])
+        return _reduction(network, node.input[0]) * int(attribute(node, "strides")[0])
     if node.op_type == "Resize":
         return _reduction(network, node.input[0]) // 2
     return _reduction(network, node.input[0])
 
 
-def _pair_pixels(network: _Network, of_size: Sequence[onnx.NodeProto]) -> None:
+def _pair_pixels(network: IntegerGraph, of_size: Sequence[onnx.NodeProto]) -> None:
     """Take pixels side by side for one, wherever planes have the frame's size."""
     for node in of_size:
         if node.op_type == "Conv":
@@ -247,7 +176,7 @@ def _pair_pixels(network: _Network, of_size: Sequence[onnx.NodeProto]) -> None:
             _take_apart(network, node)
 
 
-def _take_apart(network: _Network, numbers: onnx.NodeProto) -> None:
+def _take_apart(network: IntegerGraph, numbers: onnx.NodeProto) -> None:
     """Make pixels of pairs before what makes numbers of them."""
     name = numbers.input[0]
     made = network.maker(name)
@@ -260,24 +189,24 @@ def _take_apart(network: _Network, numbers: onnx.NodeProto) -> None:
     numbers.input[0] = network.add("Transpose", [pixels], f"{name} planes", perm=_PLANES)
 
 
-def _convolve_pairs(network: _Network, convolution: onnx.NodeProto) -> None:
+def _convolve_pairs(network: IntegerGraph, convolution: onnx.NodeProto) -> None:
     """Let a convolution take pairs; what it gives are pairs, too, unless it takes every other."""
     weights, _ = network.weights(convolution)
-    step = int(_attribute(convolution, "strides")[0])
-    pads = list(_attribute(convolution, "pads"))
+    step = int(attribute(convolution, "strides")[0])
+    pads = list(attribute(convolution, "pads"))
     if step == 1:
         _give_twice(network, convolution)
     of_pairs, before, after = paired(
         network.array(weights.input[0]), step, (int(pads[1]), int(pads[3]))
     )
     network.put(weights.input[0], of_pairs)
-    for attribute in convolution.attribute:
-        if attribute.name == "kernel_shape":
-            attribute.ints[:] = of_pairs.shape[2:]
-        elif attribute.name == "strides":
-            attribute.ints[:] = [step, 1]
-        elif attribute.name == "pads":
-            attribute.ints[:] = [pads[0], before, pads[2], after]
+    for told in convolution.attribute:
+        if told.name == "kernel_shape":
+            told.ints[:] = of_pairs.shape[2:]
+        elif told.name == "strides":
+            told.ints[:] = [step, 1]
+        elif told.name == "pads":
+            told.ints[:] = [pads[0], before, pads[2], after]
 
 
 def paired(weights: np.ndarray, step: int, pads: tuple[int, int]) -> tuple[np.ndarray, int, int]:
@@ -314,7 +243,7 @@ def paired(weights: np.ndarray, step: int, pads: tuple[int, int]) -> tuple[np.nd
     return made, before, after
 
 
-def _give_integers(network: _Network) -> None:
+def _give_integers(network: IntegerGraph) -> None:
     """Leave out what makes numbers of the outputs."""
     for output in network.graph.output:
         numbers = network.maker(output.name)
@@ -326,8 +255,3 @@ def _give_integers(network: _Network) -> None:
         network.graph.node.remove(numbers)
         integers.output[0] = output.name
         output.type.tensor_type.elem_type = TensorProto.UINT8
-
-
-def _attribute(node: onnx.NodeProto, name: str) -> Sequence[int]:
-    found = next(each for each in node.attribute if each.name == name)
-    return list(found.ints)

@@ -10,7 +10,8 @@ Scales are those of the frames in DATA: sequences that a model was trained on, n
 measured on. Made by ONNX Runtime's own quantisation: a scale for each output of a convolution, one
 for each image, the least to the greatest value that was met. Then `stillray_export.small_sums` sees
 to it that no processor's sums overflow, `stillray_export.bias_correction` takes back what rounded
-weights shift, and `stillray_export.integer_layout` arranges planes as processors take them faster.
+weights shift, and `stillray_export.integer_layout` and `stillray_export.spare_planes` arrange
+planes as processors take them faster.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ from stillray_export.bias_correction import correct_biases
 from stillray_export.integer_layout import arrange
 from stillray_export.plane_order import order_features
 from stillray_export.small_sums import weight_scales
+from stillray_export.spare_planes import add_spare_planes
 from stillray_training.blocks import frames_of, mean_frame, read_blocks
 from stillray_training.rendered import albedo_frame
 from stillray_training.run import sequences_in
@@ -262,6 +264,7 @@ def _arranged(network: onnx.ModelProto, info: ModelInfo, *, pairs: bool) -> onnx
     integers_out = family_of_model(info).traits.integers
     if arrange(copied.graph, integers_out=integers_out, pairs=pairs) != pairs:
         return None
+    add_spare_planes(copied.graph, pairs=pairs)
     # what the runtime would refuse is found here, not by who runs the model
     require_fit(checked(copied.SerializeToString(), info.name)[1], info.spec, info.name)
     return copied

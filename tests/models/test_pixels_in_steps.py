@@ -13,7 +13,7 @@ from stillray.models.onnx_file import parse_onnx
 from stillray.models.precision import int8_path
 from stillray.models.protobuf import WireError
 from stillray.models.registry import find_model
-from stillray.models.steps import Steps, columns_of, in_steps
+from stillray.models.steps import Steps, in_steps, layout_of
 from stillray.pipeline.opening import engine_of_model
 
 onnx = pytest.importorskip("onnx")
@@ -106,33 +106,38 @@ def test_other_inputs_are_refused(changes, message):
 
 
 @pytest.mark.parametrize(
-    "told", ["[0, 1, 1]", "[0, 1]", "[0, 1, 3]", "3", "[0, 1, 2.0]", "{", "[" * 10**5]
+    "told", ["[0, 1, 1]", "[0, -1]", "[]", "[0, 1, 3]", "3", "[0, 1, 2.0]", "{", "[" * 10**5]
 )
 def test_places_that_cannot_be_are_refused(told):
     with pytest.raises(
-        ValueError, match=r"stillray\.places must hold each of 3 places once, got .{0,80}$"
+        ValueError, match=r"stillray\.places must hold some of 3 places, each once, got .{0,80}$"
     ):
-        columns_of((FIRST, FIRST, SECOND), told)
+        layout_of((FIRST, FIRST, SECOND), told)
 
 
+_STEPS = (FIRST, SECOND, FIRST, SECOND, FIRST)
 #: Of five planes, the first of which is the last integer of a pixel.
-COLUMNS = columns_of((FIRST, SECOND, FIRST, SECOND, FIRST), "[4, 2, 1, 0, 3]")
+LAYOUT = layout_of(_STEPS, "[4, 2, 1, 0, 3]")
+#: The same, and three integers that are of none.
+SPARE = layout_of((*_STEPS, FIRST, FIRST, FIRST), "[4, 2, 1, 0, 3]")
 
 
 class Takes:
     """An engine of a network that takes this input."""
 
-    def __init__(self, columns):
-        self.feature_columns = columns
+    def __init__(self, layout):
+        self.feature_layout = layout
 
 
 @pytest.mark.parametrize("width", [40, 48])
-def test_pixels_are_made_strip_by_strip_as_planes_are(rng, width):
+@pytest.mark.parametrize("layout", [LAYOUT, SPARE])
+def test_pixels_are_made_strip_by_strip_as_planes_are(rng, width, layout):
     planes = (20 * rng.normal(size=(5, 35, width))).astype(np.float32)
     planes[:, 3, :4] = 1e6, -1e6, 1e-38, 0  # beyond the first and last step
     strips, found = Strips(2, pixels=4 * 48), []
-    for columns in (None, COLUMNS):
-        made = NetworkInput(Takes(columns), 5, (48, 48), Workspace(), strips)
+    for taken in (None, layout):
+        strips.workspace.array("planes in steps", (8, 4, 48), np.uint8)[:] = 9  # of another use
+        made = NetworkInput(Takes(taken), 5, (48, 48), Workspace(), strips)
 
         def pack(rows, made=made):
             made.fill(rows, width, lambda out: np.copyto(out, planes[:, rows]))
@@ -142,23 +147,24 @@ def test_pixels_are_made_strip_by_strip_as_planes_are(rng, width):
         found.append(made.array)
     numbers, integers = found
     assert numbers.shape == (1, 5, 48, 48)
-    assert (integers.shape, integers.dtype) == ((1, 48, 48, 5), np.uint8)
+    assert (integers.shape, integers.dtype) == ((1, 48, 48, layout.size), np.uint8)
+    assert not integers[..., 5:].any()
     np.testing.assert_array_equal(numbers[0, :, :35, :width], planes)
     np.testing.assert_array_equal(numbers[0, :, 35:], numbers[0, :, 34:21:-1])
-    for values, column in zip(numbers[0], COLUMNS, strict=True):
+    for values, column in zip(numbers[0], layout.columns, strict=True):
         plane, step = integers[0, ..., column.place], column.steps
         exact = np.clip(values.astype(np.float64) / step.scale + step.zero, 0, 255)
         assert np.abs(plane - exact).max() <= 0.5 + 1e-4
 
 
-@pytest.mark.parametrize("columns", [None, COLUMNS])
-def test_planes_that_lie_apart_are_put_as_those_that_are_written(rng, columns):
+@pytest.mark.parametrize("layout", [None, LAYOUT, SPARE])
+def test_planes_that_lie_apart_are_put_as_those_that_are_written(rng, layout):
     planes = (20 * rng.normal(size=(5, 16, 24))).astype(np.float32)
     given = [*planes[:4], np.broadcast_to(planes[4, :, :1], (16, 24))]
     planes[4] = given[4]
     strips, arrays = Strips(1, pixels=3 * 24), []
     for kind in ("put", "fill"):
-        made = NetworkInput(Takes(columns), 5, (16, 24), Workspace(), strips)
+        made = NetworkInput(Takes(layout), 5, (16, 24), Workspace(), strips)
 
         def work(rows, made=made, kind=kind):
             if kind == "put":
@@ -175,7 +181,7 @@ def test_planes_that_lie_apart_are_put_as_those_that_are_written(rng, columns):
 def test_halves_are_rounded_to_even():
     values = np.array([[[0.25, 0.75, 1.25]]], np.float32)
     out = in_steps(
-        values, columns_of((Steps(0.5, 100),), None), np.empty((1, 3, 1), np.uint8), Workspace()
+        values, layout_of((Steps(0.5, 100),), None), np.empty((1, 3, 1), np.uint8), Workspace()
     )
     assert out.ravel().tolist() == [100, 102, 102]
 
@@ -184,7 +190,7 @@ def test_a_number_a_little_below_a_half_is_rounded_down():
     """Half a step less a millionth: beside a zero of 139 float32 does not tell it from a half."""
     values = np.array([[[0.5 - 1e-6, 0.5 + 1e-6]]], np.float32)
     out = in_steps(
-        values, columns_of((Steps(1.0, 139),), None), np.empty((1, 2, 1), np.uint8), Workspace()
+        values, layout_of((Steps(1.0, 139),), None), np.empty((1, 2, 1), np.uint8), Workspace()
     )
     assert out.ravel().tolist() == [139, 140]
 
@@ -196,7 +202,7 @@ def test_planes_of_floats_are_taken_too():
     try:
         planes = np.random.default_rng(0).normal(size=(1, 16, 32, 48)).astype(np.float32)
         pixels = np.empty((32, 48, 16), np.uint8)
-        in_steps(planes[0], engine.feature_columns, pixels, Workspace())
+        in_steps(planes[0], engine.feature_layout, pixels, Workspace())
         of_planes = engine.run("network", {"features": planes})
         of_pixels = engine.run("network", {"features": pixels[None]})
         for name, found in of_planes.items():

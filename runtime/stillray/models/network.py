@@ -16,14 +16,14 @@ from stillray.models.renewed import RenewedNetwork
 from stillray.models.session import (
     CPU,
     Provider,
-    feature_columns,
+    feature_layout,
     first_line,
     provider_names,
     read_checked,
     session_options,
     start_session,
 )
-from stillray.models.steps import Column, InSteps, in_steps
+from stillray.models.steps import InSteps, PixelLayout, in_steps
 
 
 class Network:
@@ -44,11 +44,11 @@ class Network:
 
     Attributes
     ----------
-    feature_columns
+    feature_layout
         Of a network that takes pixels of integers, how each feature is part of one; else None.
     """
 
-    feature_columns: tuple[Column, ...] | None
+    feature_layout: PixelLayout | None
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class Network:
         self._renewed: RenewedNetwork | None = None
         try:
             file, interface = read_checked(path)
-            self.feature_columns = feature_columns(file, interface, path)
+            self.feature_layout = feature_layout(file, interface)
             self._outputs = list(zip(file.graph.outputs, interface.outputs, strict=True))
             # elsewhere opening a network takes longer than running it
             if interface.weights and provider_names(providers) == [CPU]:
@@ -132,11 +132,12 @@ class Network:
 
     def _taken(self, features: np.ndarray) -> np.ndarray:
         """Features as the network takes them: whoever wraps an engine may know planes alone."""
-        if self.feature_columns is None or features.dtype == np.uint8:
+        layout = self.feature_layout
+        if layout is None or features.dtype == np.uint8:
             return features
         planes = features[0]
-        out = np.empty((*planes.shape[1:], len(planes)), np.uint8)
-        return in_steps(planes, self.feature_columns, out, Workspace())[None]
+        out = np.empty((*planes.shape[1:], layout.size), np.uint8)
+        return in_steps(planes, layout, out, Workspace())[None]
 
     def _step(self, graph: str) -> Future[Any]:
         """The session of a step, which is being opened or was."""
@@ -204,9 +205,9 @@ class WatchedEngine:
         self._engine, self._watch = engine, watch
 
     @property
-    def feature_columns(self) -> tuple[Column, ...] | None:
+    def feature_layout(self) -> PixelLayout | None:
         """Of the engine, if it has any."""
-        found: tuple[Column, ...] | None = getattr(self._engine, "feature_columns", None)
+        found: PixelLayout | None = getattr(self._engine, "feature_layout", None)
         return found
 
     def run(self, graph: str, inputs: Mapping[str, np.ndarray]) -> dict[str, Any]:

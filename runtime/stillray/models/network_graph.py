@@ -79,10 +79,11 @@ class Interface:
     Attributes
     ----------
     features
-        Planes of its input.
+        How many it takes.
     steps
         None where the input is planes, ``(1, features, h, w)`` float32; else it is pixels,
-        ``(1, h, w, features)`` uint8, each plane in steps of its own.
+        ``(1, h, w, n)`` uint8, each plane in steps of its own: at least as many as features, see
+        `stillray.models.steps.PixelLayout`.
     outputs
         In the order in which they are given.
     multiplications

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from stillray.errors import InputError
-from stillray.models.network_graph import GraphError, Interface, interface_of
+from stillray.models.network_graph import Interface, interface_of
 from stillray.models.onnx_file import OnnxFile, parse_onnx, read_bytes
 from stillray.models.protobuf import WireError
-from stillray.models.steps import PLACES_KEY, Column, columns_of
+from stillray.models.steps import PLACES_KEY, PixelLayout, layout_of
 
 
 def read_checked(path: Path) -> tuple[OnnxFile, Interface]:
@@ -28,27 +29,25 @@ def checked(data: bytes, origin: Path | str) -> tuple[OnnxFile, Interface]:
     """As `read_checked`, of a file's bytes; ``origin`` is what messages call them."""
     try:
         file = parse_onnx(data)
-        return file, interface_of(file.graph)
-    except (WireError, GraphError) as error:
+        interface = interface_of(file.graph)
+        if layout := feature_layout(file, interface):
+            interface = replace(interface, features=len(layout.columns))
+        return file, interface
+    except (WireError, ValueError) as error:
         raise InputError(f"{origin}: not a usable ONNX model: {error}") from None
 
 
-def feature_columns(
-    file: OnnxFile, interface: Interface, origin: Path | str
-) -> tuple[Column, ...] | None:
+def feature_layout(file: OnnxFile, interface: Interface) -> PixelLayout | None:
     """How features are part of the pixels that a network takes; None where it takes planes.
 
     Raises
     ------
-    InputError
+    ValueError
         The file tells places that cannot be.
     """
     if interface.steps is None:
         return None
-    try:
-        return columns_of(interface.steps, file.metadata.get(PLACES_KEY))
-    except ValueError as error:
-        raise InputError(f"{origin}: not a usable ONNX model: {error}") from None
+    return layout_of(interface.steps, file.metadata.get(PLACES_KEY))
 
 
 #: An execution provider of ONNX Runtime: its name, or its name and its options.

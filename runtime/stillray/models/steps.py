@@ -12,7 +12,7 @@ import numpy as np
 
 from stillray.arrays.workspace import Workspace
 
-#: Metadata of a file whose features lie in another order than their specification's: `columns_of`.
+#: Metadata of a file whose features lie otherwise than in their specification's order: `layout_of`.
 PLACES_KEY = "stillray.places"
 _SHOWN = 80  # characters of what cannot be read
 
@@ -49,7 +49,24 @@ class Column:
     steps: Steps
 
 
-def columns_of(steps: Sequence[Steps], told: str | None) -> tuple[Column, ...]:
+@dataclass(frozen=True)
+class PixelLayout:
+    """What the integers of a pixel are.
+
+    Attributes
+    ----------
+    columns
+        Of each feature.
+    size
+        Integers of a pixel. Those that are of no feature are 0, and nothing depends on them:
+        ONNX Runtime convolves a multiple of four planes faster.
+    """
+
+    columns: tuple[Column, ...]
+    size: int
+
+
+def layout_of(steps: Sequence[Steps], told: str | None) -> PixelLayout:
     """Where each of a network's features is in a pixel.
 
     Parameters
@@ -57,24 +74,28 @@ def columns_of(steps: Sequence[Steps], told: str | None) -> tuple[Column, ...]:
     steps
         What the integers of a pixel stand for, one after the other.
     told
-        A file's metadata of `PLACES_KEY`: a place for each feature, as JSON; None where they lie
-        in the order of the specification.
+        A file's metadata of `PLACES_KEY`: a place for each feature, as JSON, and no two alike;
+        None where they lie in the order of the specification.
 
     Raises
     ------
     ValueError
-        Not every place is told once.
+        A place is told twice, or is none of a pixel's.
     """
-    every: Any = list(range(len(steps)))
+    size = len(steps)
     try:
-        places = every if told is None else json.loads(told)
+        places: Any = list(range(size)) if told is None else json.loads(told)
     except (ValueError, RecursionError):
         places = None
     known = isinstance(places, list) and all(type(place) is int for place in places)
-    if not known or sorted(places) != every:
+    if not known or not places or not set(places) <= set(range(size)) or _repeats(places):
         found = str(told)[:_SHOWN]
-        raise ValueError(f"{PLACES_KEY} must hold each of {len(steps)} places once, got {found}")
-    return tuple(Column(place, steps[place]) for place in places)
+        raise ValueError(f"{PLACES_KEY} must hold some of {size} places, each once, got {found}")
+    return PixelLayout(tuple(Column(place, steps[place]) for place in places), size)
+
+
+def _repeats(places: Sequence[int]) -> bool:
+    return len(set(places)) < len(places)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +137,7 @@ def numbers_of(steps: Steps) -> np.ndarray:
 
 
 def in_steps(
-    planes: Iterable[np.ndarray], columns: Sequence[Column], out: np.ndarray, workspace: Workspace
+    planes: Iterable[np.ndarray], layout: PixelLayout, out: np.ndarray, workspace: Workspace
 ) -> np.ndarray:
     """Numbers as integers of 8 bits, pixel by pixel.
 
@@ -124,15 +145,17 @@ def in_steps(
     ----------
     planes : (h, w) float32 each
         Within 2e9 steps of 0, as features are: what is beyond would wrap.
-    columns
-        Of each plane.
-    out : (h, w, planes) uint8
+    layout
+        Of the network.
+    out : (h, w, layout.size) uint8
         Contiguous; written and returned.
     workspace
         For what lies between.
     """
-    shape, count = out.shape[:2], len(columns)
-    integers = workspace.array("planes in steps", (count, *shape), np.uint8)
+    shape, columns = out.shape[:2], layout.columns
+    integers = workspace.array("planes in steps", (layout.size, *shape), np.uint8)
+    if layout.size > len(columns):
+        integers[:] = 0
     whole = workspace.array("steps", shape)
     for plane, column in zip(planes, columns, strict=True):
         # Rounded before the zero is added: a sum in float32 has lost what lies near a half, and
@@ -141,5 +164,5 @@ def in_steps(
         np.rint(whole, out=whole)
         target, zero = integers[column.place], column.steps.zero
         cv2.addWeighted(whole, 1, whole, 0, zero, dst=target, dtype=cv2.CV_8U)
-    cv2.transpose(integers.reshape(count, -1), dst=out.reshape(-1, count))
+    cv2.transpose(integers.reshape(layout.size, -1), dst=out.reshape(-1, layout.size))
     return out
