@@ -124,7 +124,10 @@ def test_denoise_takes_features_from_separate_sequences(shot):
         (["shot.0001.exr", "-o", "clean.png"], ["output", ".exr", "clean.png"]),
         (["shot.0001.exr", "-o", "clean.exr", "-m", "best"], ["model must be one of", "best"]),
         (["shot.0001.exr", "-o", "clean.exr", "--threads", "0"], ["threads", "0"]),
-        (["shot.0001.exr", "-o", "clean.exr", "--threads", "two"], ["--threads", "integer"]),
+        (
+            ["shot.0001.exr", "-o", "clean.exr", "--threads", "two"],
+            ["--threads", "'two'"],
+        ),
         (["shot.0001.exr", "-o", "clean.exr", "--normal", "n.exr"], ["n.exr"]),
         (["shot.0001.exr", "-o", "clean.exr", "--nonsense"], ["--nonsense"]),
         (["shot.0001.exr"], ["-o"]),

@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         return complain(str(error), BAD_INPUT)
     except _usage_error() as error:
-        return complain(error.format_message(), BAD_INPUT)
+        return complain(error.format_message() + _refused_value(error), BAD_INPUT)
     except (typer.Abort, KeyboardInterrupt):
         return complain("interrupted", FAILED)
     except BrokenPipeError:  # the reader, such as `head`, has had enough
@@ -103,6 +103,12 @@ def _usage_error() -> type[typer.BadParameter]:
     # The base of all usage errors has no public name that all versions of typer share.
     bases = [base for base in typer.BadParameter.__mro__ if hasattr(base, "format_message")]
     return bases[-1]
+
+
+def _refused_value(error: BaseException) -> str:
+    """The value of an option that is no number, which typer's own message leaves out."""
+    told = getattr(error.__cause__, "errors", None)  # pydantic's, whose words those are
+    return f", got {told()[0]['input']!r}" if told else ""
 
 
 def _print_version(wanted: bool) -> None:

@@ -201,12 +201,7 @@ class FeatureFiltersModel:
             Stage("encode", True, f"{len(self.spec.network.features)} planes for the network"),
             Stage("network", True, self.spec.name),
             Stage("reconstruct", True, "filters by distances of features, at every resolution"),
-            *([Stage("lamps", True, lamps.TOLD)] if self.spec.lamps.restored else []),
-            *(
-                [Stage("rare_light", True, rare_light.TOLD)]
-                if self.spec.rare_light.restored
-                else []
-            ),
+            *rare_light.put_back(self.spec.lamps, self.spec.rare_light),
             Stage("layers", False, "none are filtered by this model"),
             Stage(
                 "remember",

@@ -179,12 +179,7 @@ class TemporalKernels(ABC):
             Stage("upscale", False, "the model's scale is 1"),
             Stage("remodulate", modulates, why),
             *self._relief(frame),
-            *([Stage("lamps", True, lamps.TOLD)] if self.spec.lamps.restored else []),
-            *(
-                [Stage("rare_light", True, rare_light.TOLD)]
-                if self.spec.rare_light.restored
-                else []
-            ),
+            *rare_light.put_back(self.spec.lamps, self.spec.rare_light),
             Stage("layers", layers > 0, f"{layers} other layers" if layers else "none are given"),
             Stage("keep_output", remembers, why_remember),
         ]

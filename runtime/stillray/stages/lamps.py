@@ -56,8 +56,6 @@ BLOCKS = (
     Block(2, 3, 2.4, 2.2, 0.07),
     Block(3, 2, 2.4, 2.2, 0.07),
 )
-#: What a plan says of the stage.
-TOLD = "blocks of bright samples that were filtered away"
 _OF_SIZE = {
     size: [block for block in BLOCKS if (block.height, block.width) == size]
     for size in {(block.height, block.width): None for block in BLOCKS}

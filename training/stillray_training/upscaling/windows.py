@@ -9,7 +9,6 @@ import numpy as np
 
 from stillray.frame import Frame
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.decoders import FeatureFilters
 from stillray.stages import features
 from stillray.stages.accumulate import bounded
 from stillray_training.bright_windows import Window, draw_window, reference_through
@@ -25,12 +24,12 @@ def through_window(clip: Clip, spec: ModelSpec, rng: np.random.Generator) -> Cli
     clip
         Whose frames have jitter and every guide, and which nothing moves in.
     spec
-        The model's: how large its picture is, how far samples are bounded, and exposures.
+        The model's: how far samples are bounded, and exposures.
     rng
         Draws the window.
     """
-    assert isinstance(spec.decoder, FeatureFilters)
     reference, first = clip.references[0], clip.frames[0]
+    scale = reference.shape[0] // first.shape[0]
     assert first.depth is not None
     size = reference.shape[::-1]
     depth = cv2.resize(first.depth, size, interpolation=cv2.INTER_NEAREST)
@@ -39,7 +38,7 @@ def through_window(clip: Clip, spec: ModelSpec, rng: np.random.Generator) -> Cli
     exposures: list[float] = []
     units: list[float] = []
     for frame in clip.frames:
-        seen = frame_behind_bars(frame, window, spec.decoder.scale)
+        seen = frame_behind_bars(frame, window, scale)
         own = features.frame_exposure(features.luminance(seen.color), spec.transfer)
         if exposures:
             own = features.steady_exposure(own, exposures[-1], spec.transfer)
