@@ -71,6 +71,26 @@ def test_json_is_a_line_a_frame_and_a_summary(shot, capsys):
     assert summary["seconds"] > 0
 
 
+def test_frames_that_hold_no_numbers_are_told_of(shot, capsys):
+    rng = np.random.default_rng(0)
+    for number, lost in ((4, 0), (5, 9), (6, HEIGHT * WIDTH)):
+        planes = rng.random((3, HEIGHT * WIDTH), np.float32)
+        planes[1, :lost] = np.nan
+        planes[2, : lost // 2] = np.inf  # of the same pixels
+        shaped = planes.reshape(3, HEIGHT, WIDTH)
+        write_channels(shot / f"lost.{number}.exr", dict(zip("RGB", shaped, strict=True)))
+    command = ["denoise", "lost.#.exr", "-o", "clean.#.exr", *FAST]
+    assert main(command) == 0
+    whole, some, none = capsys.readouterr().out.splitlines()[:3]
+    assert "finite" not in whole
+    assert some.endswith("1.52 % of pixels are no finite numbers, filled from those around")
+    assert "no pixel's color is a finite number: the picture is black" in none
+    assert not read_exr(shot / "clean.6.exr").color.any()
+    assert main([*command, "--json"]) == 0
+    *events, _ = map(json.loads, capsys.readouterr().out.splitlines())
+    assert [round(e["broken"] * HEIGHT * WIDTH) for e in events] == [0, 9, HEIGHT * WIDTH]
+
+
 @pytest.mark.parametrize("flag", ["--quiet", "-q"])
 def test_quiet_says_nothing(shot, capsys, flag):
     assert main(["denoise", flag, "shot.#.exr", "-o", "clean.#.exr", *FAST]) == 0

@@ -111,6 +111,7 @@ class _Json:
             "starts_anew": done.step.starts_anew or done.cut is not None,
             "cut": None if done.cut is None else str(done.cut),
             "clamped": done.clamped,
+            "broken": done.broken,
             "read_ms": round(done.read_ms, 3),
             "denoise_ms": round(done.denoise_ms, 3),
             "write_ms": round(done.write_ms, 3),
@@ -166,6 +167,8 @@ class _Bar:
             self._progress.console.print(f"{name}: cut, {done.cut}", markup=False)
         if done.clamped:
             self._progress.console.print(f"{name}: {_clamped(done)}", markup=False)
+        if done.broken:
+            self._progress.console.print(f"{name}: {_broken(done)}", markup=False)
 
     def end(self, summary: dict[str, Any]) -> None:
         self._progress.stop()
@@ -202,10 +205,18 @@ def _line(done: FrameReport, *, first: bool, verbose: bool) -> str:
         line += f" (read {done.read_ms:.1f}, write {done.write_ms:.1f})"
     if done.clamped:
         line += f"  {_clamped(done)}"
+    if done.broken:
+        line += f"  {_broken(done)}"
     if done.cut is not None:
         return f"{line}  cut, history starts anew: {done.cut}"
     # the very first frame has no history either, and that needs no saying
     return f"{line}  history starts anew" if step.starts_anew and not first else line
+
+
+def _broken(done: FrameReport) -> str:
+    if done.broken == 1:
+        return "no pixel's color is a finite number: the picture is black"
+    return f"{100 * done.broken:.3g} % of pixels are no finite numbers, filled from those around"
 
 
 def _clamped(done: FrameReport) -> str:
