@@ -22,7 +22,8 @@ from onnx import helper
 from stillray.cli import program
 from stillray.io.atomic import atomic_path
 from stillray.models.precision import int8_path, made_of, pairs_path
-from stillray.models.registry import find_model
+from stillray.models.registry import find_model, require_fit
+from stillray.models.session import checked
 from stillray_export.integer_graph import IntegerGraph, attribute
 
 _INPUTS = 4  # ONNX Runtime's quick convolution takes a multiple of so many
@@ -92,8 +93,8 @@ def _spare_outputs(network: IntegerGraph, multiple: int) -> list[bool]:
         (made,) = network.takers(convolution.output[0])
         if made.op_type != "QuantizeLinear":
             continue
-        for name in weights.input[:1]:
-            network.put(name, np.pad(network.array(name), ((0, spare), *[(0, 0)] * 3)))
+        integers = network.array(weights.input[0])
+        network.put(weights.input[0], np.pad(integers, ((0, spare), *[(0, 0)] * 3)))
         for name in (*weights.input[1:], *bias.input):
             if (array := network.array(name)).ndim:
                 network.put(name, np.pad(array, (0, spare), mode="edge"))
@@ -117,17 +118,19 @@ def _leave_away(network: IntegerGraph, made: onnx.NodeProto, count: int) -> None
 
 def main(model: Annotated[str, typer.Argument(help="A model's name or file.")]) -> None:
     """Give a model's networks in integers spare planes where that makes them faster."""
-    floats = find_model(model).path
-    pixels, pairs = int8_path(floats), pairs_path(floats)
-    for path, source in ((pixels, floats), (pairs, pixels)):
+    info = find_model(model)
+    pixels, pairs = int8_path(info.path), pairs_path(info.path)
+    for path, source in ((pixels, info.path), (pairs, pixels)):
         if not path.is_file():
             continue
         network = onnx.load(path)
         added = add_spare_planes(network.graph, pairs=path == pairs)
         told = {entry.key: entry.value for entry in network.metadata_props}
         helper.set_model_props(network, told | made_of(source.read_bytes()))
+        made = network.SerializeToString()
+        require_fit(checked(made, path)[1], info.spec, path)
         with atomic_path(path) as temporary:
-            temporary.write_bytes(network.SerializeToString())
+            temporary.write_bytes(made)
         print(f"{path}: {'spare planes added' if added else 'needs none'}")
 
 
