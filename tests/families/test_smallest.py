@@ -55,5 +55,5 @@ def test_layers_and_tiles_that_it_cannot_do_are_refused(denoiser):
     with pytest.raises(stillray.InputError, match="layers must be none with nbg-2x1, got a"):
         denoiser.denoise_layers(given, {"a": given.color})
     denoiser.max_memory = 1 << 30
-    with pytest.raises(stillray.InputError, match="max-memory must not be given with nbg-2x1"):
+    with pytest.raises(stillray.InputError, match="max_memory must not be given with nbg-2x1"):
         denoiser.denoise(given)

@@ -54,7 +54,7 @@ def test_less_memory_makes_smaller_tiles_until_it_is_refused():
         areas.append(max(area(tile) for tile in tiles))
     assert areas == sorted(areas, reverse=True)
     assert areas[-1] < areas[0]
-    with pytest.raises(InputError, match=r"max-memory must be \d+M or more for 3840 x 2160 pixels"):
+    with pytest.raises(InputError, match=r"max_memory must be \d+M or more for 3840 x 2160 pixels"):
         plan_tiles((2160, 3840), ALL, traits, 1 << 30, "kpyr-5")
 
 
@@ -69,7 +69,7 @@ def test_little_memory_is_enough_for_small_frames(shape, channels, megabytes):
 
 def test_fewer_buffers_take_less_memory():
     traits = family_of(load("kpyr-5")).traits
-    with pytest.raises(InputError, match="max-memory must be"):
+    with pytest.raises(InputError, match="max_memory must be"):
         plan_tiles((1080, 1920), ALL, traits, 1300 << 20, "kpyr-5")
     assert plan_tiles((1080, 1920), MemoryUse(channels=3), traits, 1300 << 20, "kpyr-5")
     frame = make_frame(9, 7, shift=1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import traceback
 from collections.abc import Sequence
@@ -63,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = DONE
         sys.stdout.flush()  # a closed pipe shows here, not on the interpreter's way out
     except InputError as error:
-        return complain(str(error), BAD_INPUT)
+        return complain(_with_dashes(str(error)), BAD_INPUT)
     except _usage_error() as error:
         return complain(error.format_message() + _refused_value(error), BAD_INPUT)
     except (typer.Abort, KeyboardInterrupt):
@@ -103,6 +104,11 @@ def _usage_error() -> type[typer.BadParameter]:
     # The base of all usage errors has no public name that all versions of typer share.
     bases = [base for base in typer.BadParameter.__mro__ if hasattr(base, "format_message")]
     return bases[-1]
+
+
+def _with_dashes(message: str) -> str:
+    """A message that begins with an argument's name in Python, with that of its option."""
+    return re.sub(r"^[a-z]+(_[a-z]+)+(?= must )", lambda name: name[0].replace("_", "-"), message)
 
 
 def _refused_value(error: BaseException) -> str:

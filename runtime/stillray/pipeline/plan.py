@@ -78,7 +78,7 @@ def plan_frame(
         raise InputError(f"layers must be none with {asked.model}, got {', '.join(layers)}")
     if layers and len(tiles) > 1:
         raise InputError(
-            f"max-memory must hold the whole frame where other layers are filtered too, got "
+            f"max_memory must hold the whole frame where other layers are filtered too, got "
             f"{asked.max_memory} bytes for {frame.shape[1]} x {frame.shape[0]} pixels"
         )
     request = Request(

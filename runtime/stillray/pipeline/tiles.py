@@ -124,13 +124,13 @@ def plan_tiles(
     if max_memory is None:
         return tiles_of(shape, max(shape), 0, multiple)
     if halo is None:
-        raise InputError(f"max-memory must not be given with {name}, which takes whole frames")
+        raise InputError(f"max_memory must not be given with {name}, which takes whole frames")
     fixed, of_tile = use.floor_bytes(shape), use.tile_bytes(traits)
     least = min(max(_LEAST_INNER, halo) + 2 * halo, max(shape))
     needed = fixed + of_tile * min(least, height) * min(least, width)
     if max_memory < needed:
         raise InputError(
-            f"max-memory must be {math.ceil(needed / _UNITS['M'])}M or more for {width} x {height} "
+            f"max_memory must be {math.ceil(needed / _UNITS['M'])}M or more for {width} x {height} "
             f"pixels with {name}, got {_told(max_memory)}"
         )
     pixels = (max_memory - fixed) // of_tile
