@@ -7,6 +7,7 @@ import pytest
 
 pytest.importorskip("torch", reason="training is of the extra train")
 
+from stillray.errors import InputError
 from stillray_training import tail_study
 from stillray_training.evaluate.cases import find_cases
 from stillray_training.simulate.sequence import write
@@ -44,3 +45,8 @@ def test_each_method_has_its_row_for_every_count(stills, capsys):
     assert all(
         ours > theirs for ours, theirs in zip(values["wskp-6"], values["noisy"], strict=True)
     )
+
+
+def test_what_enlarges_is_refused(stills):
+    with pytest.raises(InputError, match="must keep the frame's size, got munet-x2, which enlarges"):
+        tail_study.main(stills, model=["munet-x2"], counts=[16])

@@ -20,6 +20,7 @@ from rich.table import Table
 
 from stillray.cli import program
 from stillray.compare.metrics import evaluate
+from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.pipeline.denoiser import Denoiser
 from stillray_training.evaluate.__main__ import find_all
@@ -75,7 +76,10 @@ def main(
     methods: dict[str, Denoise] = {"noisy": lambda frame: frame.color}
     with ExitStack() as streams:
         for name in model or ["kpyr-5-still", "kpyr-5s-still"]:
-            methods[name] = streams.enter_context(Denoiser(name, temporal=False)).denoise
+            denoiser = streams.enter_context(Denoiser(name, temporal=False))
+            if denoiser.scale != 1:
+                raise InputError(f"model must keep the frame's size, got {name}, which enlarges")
+            methods[name] = denoiser.denoise
         for name in peer or []:
             methods[name] = find_peer(name).make().denoise
         for count in counts or _COUNTS:
