@@ -144,7 +144,7 @@ def test_directional_lightmaps_keep_their_sign(files, capsys):
         ("--hdr color.pfm --filter RTX -o out.pfm", "RTLightmap"),
         ("--hdr color.pfm --quality best -o out.pfm", "--quality/--q: must be one of default"),
         ("--hdr color.pfm --threads 0 -o out.pfm", "threads must be an integer, 1 or more"),
-        ("--hdr color.pfm --maxmem 0 -o out.pfm", "max-memory must be"),
+        ("--hdr color.pfm --maxmem 0 -o out.pfm", "maxmem must be"),
         ("--hdr color.pfm --weights w.tza -o out.pfm", "--weights"),
         ("--hdr color.pfm --ref r.pfm -o out.pfm", "--ref"),
         ("--hdr", "expected one argument"),

@@ -49,7 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         _run(parser.parse_args(_with_two_dashes(given)))
     except InputError as error:
-        print("Error: " + " ".join(str(error).split()), file=sys.stderr)
+        told = str(error).replace("max_memory must", "maxmem must")  # its name here
+        print("Error: " + " ".join(told.split()), file=sys.stderr)
         return _FAILED
     return 0
 
