@@ -315,7 +315,7 @@ def _after_release(device, made, image):
         (_no_output, "output must be set"),
         (_no_color, "color must be given"),
         (_sizes, "albedo must have color's size"),
-        (_too_little_memory, "max-memory must be"),
+        (_too_little_memory, "max_memory must be"),
         (_after_release, "released"),
     ],
 )
