@@ -39,6 +39,7 @@ from stillray.stages.accumulate import bounded
 from stillray.stages.decide import REJECT
 from stillray.stages.history_rejection import Noise
 from stillray.stages.plan import Plan, Stage
+from stillray.stages.put_back import put_back
 from stillray.stages.repair import Buffers, all_within, repair_feature
 from stillray.stages.reproject import Edges, bound_blur
 from stillray.stages.sharpening import Sharpening, scale
@@ -201,7 +202,7 @@ class FeatureFiltersModel:
             Stage("encode", True, f"{len(self.spec.network.features)} planes for the network"),
             Stage("network", True, self.spec.name),
             Stage("reconstruct", True, "filters by distances of features, at every resolution"),
-            *rare_light.put_back(self.spec.lamps, self.spec.rare_light),
+            *put_back(self.spec.lamps, self.spec.rare_light),
             Stage("layers", False, "none are filtered by this model"),
             Stage(
                 "remember",

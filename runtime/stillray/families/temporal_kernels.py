@@ -29,6 +29,7 @@ from stillray.stages.decide import TemporalPlan, Wants, decide
 from stillray.stages.means import Means
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.prepare import prepare_planned
+from stillray.stages.put_back import put_back
 from stillray.stages.state import Filterable, History, Prepared, filterable
 from stillray.timing import timed
 
@@ -179,7 +180,7 @@ class TemporalKernels(ABC):
             Stage("upscale", False, "the model's scale is 1"),
             Stage("remodulate", modulates, why),
             *self._relief(frame),
-            *rare_light.put_back(self.spec.lamps, self.spec.rare_light),
+            *put_back(self.spec.lamps, self.spec.rare_light),
             Stage("layers", layers > 0, f"{layers} other layers" if layers else "none are given"),
             Stage("keep_output", remembers, why_remember),
         ]

@@ -22,9 +22,7 @@ import numpy as np
 from stillray.arrays.gain import multiply_all
 from stillray.arrays.strips import STRIP_PIXELS, Strips
 from stillray.arrays.workspace import Workspace
-from stillray.model_spec.stages import Lamps, RareLight
 from stillray.stages.features import luminance
-from stillray.stages.plan import Stage
 
 BLOCK = 8  # pixels: sums are taken of blocks
 #: Blocks along an edge of the windows in which samples must agree, odd; the last tells most of
@@ -39,14 +37,6 @@ DARKEST = 0.004  # exposed radiance that is added where relative means relative 
 LEAST = 0.03  # of the picture's light: less is left away, and more loses the less the more it is
 MOST = 4.0  # times as bright as it was filtered a picture becomes at most
 _AROUND = np.full(3, 1 / 3, np.float32)  # blocks of which "the picture" is the mean
-
-
-def put_back(lamps: Lamps, rare_light: RareLight) -> list[Stage]:
-    """The stages that put back what the filter took for fireflies, as a model has them."""
-    blocks = "blocks of bright samples that were filtered away"
-    many = "light of samples that stand far above the picture, where many do"
-    stages = [Stage("lamps", True, blocks)] if lamps.restored else []
-    return [*stages, Stage("rare_light", True, many)] if rare_light.restored else stages
 
 
 def restore(
