@@ -48,8 +48,9 @@ def add_spare_planes(graph: onnx.GraphProto, *, pairs: bool) -> bool:
     """
     network = IntegerGraph(graph)
     multiple = _OUTPUTS_OF_PAIRS if pairs else _OUTPUTS
-    # both, whatever the first did
-    added = [_spare_inputs(network), *_spare_outputs(network, multiple)]
+    convolutions = [node for node in graph.node if node.op_type == "Conv"]
+    added = [_spare_inputs(network)]
+    added += [_spare_outputs(network, convolution, multiple) for convolution in convolutions]
     network.finish()
     return any(added)
 
@@ -80,27 +81,24 @@ def _spare_inputs(network: IntegerGraph) -> bool:
     return True
 
 
-def _spare_outputs(network: IntegerGraph, multiple: int) -> list[bool]:
-    """Let convolutions give planes more, and leave those away once they are integers."""
-    added = []
-    for convolution in [node for node in network.graph.node if node.op_type == "Conv"]:
-        weights, bias = network.weights(convolution)
-        count = len(network.array(weights.input[0]))
-        spare = -count % multiple
-        # of a single pixel there are no neighbours to copy
-        if not spare or count < _LEAST_OUTPUTS or max(attribute(convolution, "kernel_shape")) == 1:
-            continue
-        (made,) = network.takers(convolution.output[0])
-        if made.op_type != "QuantizeLinear":
-            continue
-        integers = network.array(weights.input[0])
-        network.put(weights.input[0], np.pad(integers, ((0, spare), *[(0, 0)] * 3)))
-        for name in (*weights.input[1:], *bias.input):
-            if (array := network.array(name)).ndim:
-                network.put(name, np.pad(array, (0, spare), mode="edge"))
-        _leave_away(network, made, count)
-        added.append(True)
-    return added
+def _spare_outputs(network: IntegerGraph, convolution: onnx.NodeProto, multiple: int) -> bool:
+    """Let a convolution give planes more, and leave those away once they are integers."""
+    weights, bias = network.weights(convolution)
+    integers = network.array(weights.input[0])
+    count = len(integers)
+    spare = -count % multiple
+    # of a single pixel there are no neighbours to copy
+    if not spare or count < _LEAST_OUTPUTS or max(attribute(convolution, "kernel_shape")) == 1:
+        return False
+    (made,) = network.takers(convolution.output[0])
+    if made.op_type != "QuantizeLinear":
+        return False
+    network.put(weights.input[0], np.pad(integers, ((0, spare), *[(0, 0)] * 3)))
+    for name in (*weights.input[1:], *bias.input):
+        if (array := network.array(name)).ndim:
+            network.put(name, np.pad(array, (0, spare), mode="edge"))
+    _leave_away(network, made, count)
+    return True
 
 
 def _leave_away(network: IntegerGraph, made: onnx.NodeProto, count: int) -> None:

@@ -16,7 +16,7 @@ from onnx import numpy_helper  # noqa: E402
 from stillray.arrays.workspace import Workspace  # noqa: E402
 from stillray.models.precision import chosen, int8_path  # noqa: E402
 from stillray.models.registry import SPEC_KEY, find_model  # noqa: E402
-from stillray.models.session import feature_layout, open_session, read_checked  # noqa: E402
+from stillray.models.session import open_session, read_checked  # noqa: E402
 from stillray.models.steps import in_steps  # noqa: E402
 from stillray_export.quantize import features_of, quantized  # noqa: E402
 
@@ -37,7 +37,7 @@ def test_integers_compute_what_floats_do_and_know_their_file(tmp_path, rng):
     assert file.graph.tensors["network.blocks.0.0.weight_quantized"].dtype == np.int8
     assert interface.steps is not None
     pixels = np.empty((32, 48, interface.features), np.uint8)
-    in_steps(features[0][0], feature_layout(file, interface), pixels, Workspace())
+    in_steps(features[0][0], interface.layout, pixels, Workspace())
     of_floats, of_integers = (
         open_session(path, threads=1).run(None, {"features": given})[0]
         for path, given in ((copied, features[0]), (integers, pixels[None]))

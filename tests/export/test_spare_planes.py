@@ -20,7 +20,7 @@ from stillray.errors import InputError
 from stillray.models.onnx_file import parse_onnx
 from stillray.models.precision import int8_path, is_made_of, pairs_path
 from stillray.models.registry import find_model
-from stillray.models.session import checked, feature_layout
+from stillray.models.session import checked
 from stillray.models.steps import PLACES_KEY, in_steps
 from stillray_export import spare_planes
 from stillray_export.integer_layout import arrange
@@ -59,7 +59,7 @@ def network(rng, path, *, features, outputs, size=3):
 def planes_in_steps(model, planes):
     """Pixels as the runtime makes them for a network."""
     data = model.SerializeToString()
-    layout = feature_layout(*checked(data, "test"))
+    layout = checked(data, "test")[1].layout
     shape = (*planes.shape[1:], layout.size)
     return in_steps(planes, layout, np.empty(shape, np.uint8), Workspace())
 
@@ -138,16 +138,25 @@ def test_a_file_must_tell_as_many_places_as_it_takes_features(rng, tmp_path):
         checked(made.SerializeToString(), "told wrongly")
 
 
-def test_files_that_were_made_before_get_them(tmp_path):
-    model = find_model("kpyr-5-still").path
-    paths = [model, int8_path(model), pairs_path(model)]
-    floats, pixels, pairs = (Path(shutil.copy(path, tmp_path)) for path in paths)
-    sizes = []
-    for again in (False, True):
-        spare_planes.main(str(floats))
-        assert is_made_of(pixels, floats)
-        assert is_made_of(pairs, pixels)
-        sizes.append([path.stat().st_size for path in (pixels, pairs)])
-        for path, width in ((pixels, 16), (pairs, 14)):
-            assert parse_onnx(path.read_bytes()).graph.inputs[0].shape[3] == width, again
-    assert sizes[0] == sizes[1]
+def test_files_that_were_made_before_get_them(rng, tmp_path):
+    model = find_model("kpyr-5-still")
+    floats = Path(shutil.copy(model.path, tmp_path))
+    pixels, pairs = int8_path(floats), pairs_path(floats)
+    planes = rng.normal(size=(1, 13, 32, 48)).astype(np.float32)
+    made = quantized(floats, [planes])
+    for path in (pixels, pairs):
+        network = onnx.ModelProto()
+        network.CopyFrom(made)
+        assert arrange(network.graph, integers_out=True, pairs=path == pairs) == (path == pairs)
+        onnx.save(network, path)
+    before = [outputs_of(onnx.load(path), planes[0]) for path in (pixels, pairs)]
+    spare_planes.main(str(floats))
+    files = [path.read_bytes() for path in (pixels, pairs)]
+    assert is_made_of(pixels, floats)
+    assert is_made_of(pairs, pixels)
+    for path, width, given in ((pixels, 16, before[0]), (pairs, 14, before[1])):
+        assert parse_onnx(path.read_bytes()).graph.inputs[0].shape[3] == width
+        for old, new in zip(given, outputs_of(onnx.load(path), planes[0]), strict=True):
+            np.testing.assert_array_equal(new, old)
+    spare_planes.main(str(floats))  # they have them
+    assert [path.read_bytes() for path in (pixels, pairs)] == files

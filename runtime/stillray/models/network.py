@@ -16,7 +16,6 @@ from stillray.models.renewed import RenewedNetwork
 from stillray.models.session import (
     CPU,
     Provider,
-    feature_layout,
     first_line,
     provider_names,
     read_checked,
@@ -65,7 +64,7 @@ class Network:
         self._renewed: RenewedNetwork | None = None
         try:
             file, interface = read_checked(path)
-            self.feature_layout = feature_layout(file, interface)
+            self.feature_layout = interface.layout
             self._outputs = list(zip(file.graph.outputs, interface.outputs, strict=True))
             # elsewhere opening a network takes longer than running it
             if interface.weights and provider_names(providers) == [CPU]:

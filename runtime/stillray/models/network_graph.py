@@ -16,7 +16,7 @@ import numpy as np
 
 from stillray.models.onnx_file import Graph, Node
 from stillray.models.small_sums import MOST, neighbours_sum
-from stillray.models.steps import Steps
+from stillray.models.steps import PixelLayout, Steps
 
 #: Of one tensor.
 MAX_PLANES = 1024
@@ -82,8 +82,10 @@ class Interface:
         How many it takes.
     steps
         None where the input is planes, ``(1, features, h, w)`` float32; else it is pixels,
-        ``(1, h, w, n)`` uint8, each plane in steps of its own: at least as many as features, see
-        `stillray.models.steps.PixelLayout`.
+        ``(1, h, w, n)`` uint8, each plane in steps of its own: at least as many as features.
+    layout
+        Where features lie in those pixels; the graph alone does not say: see
+        `stillray.models.session.checked`.
     outputs
         In the order in which they are given.
     multiplications
@@ -98,6 +100,7 @@ class Interface:
     multiplications: float
     weights: tuple[tuple[str, tuple[int, ...]], ...] = ()
     steps: tuple[Steps, ...] | None = None
+    layout: PixelLayout | None = None
 
 
 def interface_of(graph: Graph) -> Interface:

@@ -11,7 +11,7 @@ from stillray.errors import InputError
 from stillray.models.network_graph import Interface, interface_of
 from stillray.models.onnx_file import OnnxFile, parse_onnx, read_bytes
 from stillray.models.protobuf import WireError
-from stillray.models.steps import PLACES_KEY, PixelLayout, layout_of
+from stillray.models.steps import PLACES_KEY, layout_of
 
 
 def read_checked(path: Path) -> tuple[OnnxFile, Interface]:
@@ -30,24 +30,12 @@ def checked(data: bytes, origin: Path | str) -> tuple[OnnxFile, Interface]:
     try:
         file = parse_onnx(data)
         interface = interface_of(file.graph)
-        if layout := feature_layout(file, interface):
-            interface = replace(interface, features=len(layout.columns))
+        if interface.steps is not None:
+            layout = layout_of(interface.steps, file.metadata.get(PLACES_KEY))
+            interface = replace(interface, features=len(layout.columns), layout=layout)
         return file, interface
     except (WireError, ValueError) as error:
         raise InputError(f"{origin}: not a usable ONNX model: {error}") from None
-
-
-def feature_layout(file: OnnxFile, interface: Interface) -> PixelLayout | None:
-    """How features are part of the pixels that a network takes; None where it takes planes.
-
-    Raises
-    ------
-    ValueError
-        The file tells places that cannot be.
-    """
-    if interface.steps is None:
-        return None
-    return layout_of(interface.steps, file.metadata.get(PLACES_KEY))
 
 
 #: An execution provider of ONNX Runtime: its name, or its name and its options.

@@ -88,14 +88,10 @@ def layout_of(steps: Sequence[Steps], told: str | None) -> PixelLayout:
     except (ValueError, RecursionError):
         places = None
     known = isinstance(places, list) and all(type(place) is int for place in places)
-    if not known or not places or not set(places) <= set(range(size)) or _repeats(places):
+    if not known or not places or len(set(places) & set(range(size))) < len(places):
         found = str(told)[:_SHOWN]
         raise ValueError(f"{PLACES_KEY} must hold some of {size} places, each once, got {found}")
     return PixelLayout(tuple(Column(place, steps[place]) for place in places), size)
-
-
-def _repeats(places: Sequence[int]) -> bool:
-    return len(set(places)) < len(places)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -67,8 +68,6 @@ def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
     record = json.loads((sequence / RECORD).read_text())
     frames: list[Frame] = []
     references: list[Frame] = []
-    exposures: list[float] = []
-    units: list[float] = []
     paths = frame_paths(sequence)
     scale, shared = spec.decoder.scale, _stands_still(record)
     for path in paths:
@@ -76,25 +75,37 @@ def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
         motion, depth = frame.motion, frame.depth
         assert motion is not None
         assert depth is not None
-        own = features.frame_exposure(features.luminance(frame.color), spec.transfer)
-        if exposures:
-            own = features.steady_exposure(own, exposures[-1], spec.transfer)
-        exposures.append(own)
-        color = bounded(frame.color, own, spec.transfer, spec.temporal)
-        frame = replace(frame, color=color, motion=dilated(motion, depth, strips))
-        frames.append(frame)
+        frames.append(replace(frame, motion=dilated(motion, depth, strips)))
         if shared and references:
             references.append(references[0])
         else:
             number = _number(paths[-1] if shared else path)
             references.append(_reference(sequence, number, frame, scale))
-        units.append(features.depth_scale(depth))
+    return clip_of(frames, references, spec, still=shared)
+
+
+def clip_of(
+    frames: Sequence[Frame], references: list[Frame], spec: ModelSpec, *, still: bool
+) -> Clip:
+    """A clip of frames with depth, exposed and bounded one after the other as the runtime does."""
+    bounded_frames: list[Frame] = []
+    exposures: list[float] = []
+    units: list[float] = []
+    for frame in frames:
+        assert frame.depth is not None
+        own = features.frame_exposure(features.luminance(frame.color), spec.transfer)
+        if exposures:
+            own = features.steady_exposure(own, exposures[-1], spec.transfer)
+        exposures.append(own)
+        color = bounded(frame.color, own, spec.transfer, spec.temporal)
+        bounded_frames.append(replace(frame, color=color))
+        units.append(features.depth_scale(frame.depth))
     return Clip(
-        frames=frames,
+        frames=bounded_frames,
         references=references,
         exposures=exposures,
         depth_units=units,
-        still=shared,
+        still=still,
     )
 
 

@@ -9,11 +9,9 @@ import numpy as np
 
 from stillray.frame import Frame
 from stillray.model_spec import ModelSpec
-from stillray.stages import features
-from stillray.stages.accumulate import bounded
 from stillray_training.bright_windows import Window, draw_window, reference_through
 from stillray_training.fine_shapes import FINE, laid_over
-from stillray_training.upscaling.clip import Clip
+from stillray_training.upscaling.clip import Clip, clip_of
 
 
 def through_window(clip: Clip, spec: ModelSpec, rng: np.random.Generator) -> Clip:
@@ -34,26 +32,9 @@ def through_window(clip: Clip, spec: ModelSpec, rng: np.random.Generator) -> Cli
     size = reference.shape[::-1]
     depth = cv2.resize(first.depth, size, interpolation=cv2.INTER_NEAREST)
     window = draw_window(reference.color, depth, None, rng)
-    frames: list[Frame] = []
-    exposures: list[float] = []
-    units: list[float] = []
-    for frame in clip.frames:
-        seen = frame_behind_bars(frame, window, scale)
-        own = features.frame_exposure(features.luminance(seen.color), spec.transfer)
-        if exposures:
-            own = features.steady_exposure(own, exposures[-1], spec.transfer)
-        exposures.append(own)
-        color = bounded(seen.color, own, spec.transfer, spec.temporal)
-        frames.append(replace(seen, color=color))
-        assert seen.depth is not None
-        units.append(features.depth_scale(seen.depth))
-    return replace(
-        clip,
-        frames=frames,
-        references=[_reference(reference, window)] * len(clip.references),
-        exposures=exposures,
-        depth_units=units,
-    )
+    frames = [frame_behind_bars(frame, window, scale) for frame in clip.frames]
+    references = [_reference(reference, window)] * len(clip.references)
+    return clip_of(frames, references, spec, still=clip.still)
 
 
 def frame_behind_bars(frame: Frame, window: Window, scale: int) -> Frame:
