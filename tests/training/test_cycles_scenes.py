@@ -125,6 +125,18 @@ def test_what_is_out_of_focus_mixes_what_lies_behind_it(tmp_path):
     assert noise / soft > 1.5 * sharp_noise / sharp
 
 
+def test_frames_of_many_samples_are_of_the_same_scene(tmp_path):
+    few, many = scenes(tmp_path, "--many", ("0", "1"), size="32", reference="64")
+    counts = [json.loads((scene / "rendered.json").read_text())["spp"] for scene in (few, many)]
+    assert counts[0] in (1, 2, 4)
+    assert counts[1] in (8, 16, 32, 64)
+    truth = read_exr(few / "ref_0007.exr").color
+    apart = [
+        np.median(np.abs(read_exr(scene / "frame_0007.exr").color - truth)) for scene in (few, many)
+    ]
+    assert apart[1] < 0.8 * apart[0]
+
+
 def test_a_motion_that_is_less_than_usual_is_told(tmp_path):
     done = render(tmp_path, "--motion", "0.5")
     assert done.returncode == 2

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import csv
 import dataclasses
 import json
@@ -25,6 +26,7 @@ from stillray_training.examples import (  # noqa: E402
     QUIET,
     STARTS,
     STILL,
+    Runtime,
     find_sequences,
     load_examples,
 )
@@ -185,7 +187,7 @@ def test_blocks_give_pasts_whose_light_changes_or_not(blocks, small):
     lit = [each for each in examples if each.kind == STILL]
     assert len(lit) == 12
     truth = clean_color(40, 48)
-    changes, held = [], []
+    changes, held, looked_up = [], [], []
     for each in lit:
         assert 2 <= each.spp <= 256
         shade = each.reference / truth
@@ -193,12 +195,30 @@ def test_blocks_give_pasts_whose_light_changes_or_not(blocks, small):
         # frame and reference are under the same light
         light = each.sample[..., :3] * each.demodulation_albedo
         assert 0.8 < light.mean() / each.reference.mean() < 1.2
-        assert (each.previous[..., 3] == 1).all()
+        assert (each.previous[4:-4, 4:-4, 3] == 1).all()
+        looked_up.append((each.previous[..., 3] < 1).any())
         off = np.abs(np.log((each.previous[..., :3] + 1e-3) / (each.reference + 1e-3)))
         changes.append(np.median(off.max()))
         held.append(each.mean[..., 3].max() / each.sample[..., 3].max())
+    assert 2 <= sum(looked_up) <= 10  # as of a camera that moves, or not
     assert np.ptp(changes) > 0.3
     assert max(held) > 2.5  # of a past that holds
+
+
+def test_looks_between_pixels_blur_an_edge_where_it_is(small):
+    output = np.ones((20, 24, 4), np.float32)
+    output[:, :12, :3] = (0.1, 0.2, 0.3)
+    with contextlib.closing(Runtime(small, Strips(1))) as runtime:
+        once, often = (
+            runtime.looked_up(output, times, np.random.default_rng(3)) for times in (1, 3)
+        )
+    row, dark = once[10, :, :3], output[10, 0, :3]
+    assert (np.diff(row[3:-3], axis=0) > -1e-6).all()  # no ringing
+    np.testing.assert_allclose(row[3:10], np.tile(dark, (7, 1)), atol=1e-6)
+    np.testing.assert_allclose(row[14:-3], 1, atol=1e-6)
+    slopes = [np.diff(image[10, :, 1]).max() for image in (output, once, often)]
+    assert slopes[0] > 1.05 * slopes[1] > 1.1 * slopes[2]
+    assert once[..., 3].min() < 1  # what came from beside the frame
 
 
 def test_patches_have_more_edges_where_two_are_compared(data, small, monkeypatch):

@@ -29,6 +29,8 @@ from stillray.pipeline.denoiser import Denoiser
 from stillray.pipeline.prefilter import Prefilter
 from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
+from stillray.stages.previous_output import resample
+from stillray.stages.reproject import positions_of
 from stillray.stages.state import History, Prepared
 from stillray_training.blocks import alike_frames, mean_frame
 from stillray_training.draws import log_uniform
@@ -60,6 +62,8 @@ _CHANGING = 0.7  # share of pasts that stay in whose frames the light changes
 _LIT_SAMPLES = (2.0, 256.0)  # of a frame after others
 _PAST = 4  # most frames before it
 _NOISE_LEFT = 0.3  # most of a past's noise that its last output is given
+_LOOKED = 0.5  # share of those that were looked at between pixels, as a moving camera does
+_LOOKS = 3  # at most, there and back
 _QUIET_PAST = 0.5  # share of quiet examples that have a past
 
 
@@ -131,6 +135,19 @@ class Runtime:
         if self._prefilter is None:
             return frame
         return self._prefilter.denoised(frame, Context(strips=self._strips), None)
+
+    def looked_up(self, output: np.ndarray, times: int, rng: np.random.Generator) -> np.ndarray:
+        """An output ``(h, w, 4)`` after so many looks between its pixels, there and back."""
+        height, width = output.shape[:2]
+        still = np.zeros((height, width, 2), np.float32)
+        here = positions_of(still, slice(0, height))
+        sharp = kernels_of(self.spec).sharp
+        for _ in range(times):
+            way = rng.random(2, dtype=np.float32)
+            for positions in (here + way, here - way):
+                valid = _valid_output(output[..., :3])  # each is an output, wherever it was seen
+                output = resample(valid, positions, self._strips, sharp=sharp)
+        return output
 
     def example(self, run: list[Frame], reference: np.ndarray) -> Example:
         """The last of some frames in a row, and what it is to become."""
@@ -291,9 +308,10 @@ def _lit_example(
     example = runtime.example(run, reference * shades[-1])
     before = reference * shades[-2]
     before = before + np.float32(_NOISE_LEFT * rng.random()) * (run[-2].color - before)
-    return replace(
-        example, spp=samples, kind=STILL, frames=len(run), previous=_valid_output(before)
-    )
+    previous = _valid_output(before)
+    if rng.random() < _LOOKED:
+        previous = runtime.looked_up(previous, int(rng.integers(1, _LOOKS + 1)), rng)
+    return replace(example, spp=samples, kind=STILL, frames=len(run), previous=previous)
 
 
 def _stills(

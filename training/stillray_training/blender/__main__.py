@@ -3,8 +3,9 @@
 Sequences go to ``<scene>/frame_0000.exr``, ..., stills to ``spp/<scene>/<samples a pixel>``, and
 references of both to ``<scene>/ref_0000.exr``, ...; files are as Blender writes them, multilayer.
 What is there already is kept. ``--noise-seed 500`` renders frames of sequences again, with noise of
-their own and nothing beside: second halves, for another folder. What a camera does, its lens
-wide open or its shutter, is rendered where ``--scene`` names it, for a folder of its own.
+their own and nothing beside: second halves, for another folder, or with ``--samples 16`` frames as
+animations have them. What a camera does, its lens wide open or its shutter, is rendered where
+``--scene`` names it, for a folder of its own.
 """
 
 from __future__ import annotations
@@ -31,11 +32,13 @@ def render_stills(folder: Path, scene: str, frame: int) -> None:
         render(path, frame=frame, samples=count, seed=_STILL_SEED + place)
 
 
-def render_sequence(folder: Path, scene: str, noise_seed: int = 0) -> None:
+def render_sequence(
+    folder: Path, scene: str, noise_seed: int = 0, samples: int = _SEQUENCE_SAMPLES
+) -> None:
     """All frames of the scene that is built; the seed is that of the first one's noise."""
     for frame in range(_FRAMES):
         path = folder / scene / f"frame_{frame:04d}.exr"
-        render(path, frame=frame, samples=_SEQUENCE_SAMPLES, seed=noise_seed + frame)
+        render(path, frame=frame, samples=samples, seed=noise_seed + frame)
 
 
 def render_references(folder: Path, scene: str, frames: Sequence[int], samples: int) -> None:
@@ -132,7 +135,13 @@ def main() -> None:
         help="default: all but those of what a camera does",
     )
     parser.add_argument("--noise-seed", type=int, help="frames of sequences alone, of this seed on")
+    parser.add_argument("--samples", type=int, help="a pixel of those frames, 1 or more")
     given = parser.parse_args()
+    samples = _SEQUENCE_SAMPLES if given.samples is None else given.samples
+    if given.samples is not None and given.noise_seed is None:
+        parser.error(f"samples goes with noise-seed, got {samples} without one")
+    if samples < 1:
+        parser.error(f"samples must be 1 or more, got {samples}")
     folder = given.folder.resolve()
     if given.noise_seed is None:
         for name in given.scene or SCENES:
@@ -142,7 +151,7 @@ def main() -> None:
         if name not in SEQUENCES:
             parser.error(f"noise-seed is for one of {', '.join(SEQUENCES)}, got {name}")
         SEQUENCES[name]()
-        render_sequence(folder, name, given.noise_seed)
+        render_sequence(folder, name, given.noise_seed, samples)
 
 
 if __name__ == "__main__":

@@ -36,9 +36,11 @@ _SLENDER = 0.0  # share with thin things and glasses stood about
 _LAMPS = 0.0  # share with small lamps in view
 _SHALLOW = 0.0  # share whose lens is wide open
 _BACKLIT = 0.0  # and of the others, of rooms that are looked at against their windows
+_MANY = 0.0  # share whose frames have many samples
 _MOTION = 1.0  # cameras move up to so many times as far
 _BOX = 0.5  # share with a box filter, as other renderers have
 _TABLES = 0.6  # and of the others that are things on a table
+_MANY_SAMPLES = (8, 16, 32, 64)
 _NOISE = 0.01  # of a reference's pixel, at which it takes no more samples: Cycles' own
 
 
@@ -52,12 +54,13 @@ class Options:
         Width and height, pixels.
     reference
         Most samples a pixel of references.
-    rooms, panelled, backlit, box, relief, slender, lamps, shallow
+    rooms, panelled, backlit, box, relief, slender, lamps, shallow, many
         Shares, [0, 1]: of scenes that are rooms, of rooms full of painted joinery, of other rooms
         that are looked at against their windows, of scenes rendered with a box filter, of scenes
         most of whose surfaces have one color and relief that only normals show, of scenes with
-        thin things and glasses stood about, of scenes with small lamps in view, and of scenes
-        seen through a lens that is wide open.
+        thin things and glasses stood about, of scenes with small lamps in view, of scenes
+        seen through a lens that is wide open, and of scenes whose frames have 8 to 64 samples a
+        pixel where others have 1 to 4.
     motion
         Cameras move 1 to this many times as far as usual, 1 or more.
     assets
@@ -79,6 +82,7 @@ class Options:
     slender: float = _SLENDER
     lamps: float = _LAMPS
     shallow: float = _SHALLOW
+    many: float = _MANY
     motion: float = _MOTION
     assets: Path | None = None
 
@@ -86,8 +90,8 @@ class Options:
         for name in ("size", "reference"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
-        shares = ("rooms", "panelled", "backlit", "box", "relief", "slender", "lamps", "shallow")
-        for name in shares:
+        shares = ("rooms", "panelled", "backlit", "box", "relief", "slender", "lamps")
+        for name in (*shares, "shallow", "many"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be 0 to 1, got {getattr(self, name)}")
         if not 1 <= self.motion <= 100:
@@ -150,6 +154,9 @@ def render_scene(folder: Path, seed: int, options: Options) -> None:
     shallow = focused.random() < options.shallow
     if shallow:
         open_somewhere(focused)
+    counted = random.Random(f"many {seed}")
+    if counted.random() < options.many:
+        samples = counted.choice(_MANY_SAMPLES)
     last = FRAMES - 1
     for frame in range(FRAMES):
         render(folder / f"frame_{frame:04d}.exr", frame=frame, samples=samples, seed=frame)
@@ -201,6 +208,9 @@ def main() -> None:
     )
     parser.add_argument(
         "--shallow", type=float, default=usual.shallow, help="with a lens wide open, [0, 1]"
+    )
+    parser.add_argument(
+        "--many", type=float, default=usual.many, help="of 8 to 64 samples a frame, [0, 1]"
     )
     parser.add_argument(
         "--motion", type=float, default=usual.motion, help="cameras move up to so many times as far"
