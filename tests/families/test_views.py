@@ -93,8 +93,10 @@ def test_a_mean_over_all_views_does_not_care_how_a_frame_is_held(model, view):
     assert np.median(off[4][-1]) < 0.1 * np.median(off[1][-1])
 
 
-@pytest.mark.parametrize("model", ["kpyr-5", "kpyr-5s"])
-def test_more_views_have_less_error(model):
+@pytest.mark.parametrize(
+    ("model", "left"), [("kpyr-5", 0.99), ("kpyr-5-still", 0.985), ("kpyr-5s", 0.965)]
+)
+def test_more_views_have_less_error(model, left):
     # a rendered room: on a box in white noise four views are as good as two
     frame, reference = (read_exr(ROOM / f"{name}_0007.exr") for name in ("frame", "ref"))
     wanted, errors = as_displayed(reference.color), []
@@ -103,7 +105,7 @@ def test_more_views_have_less_error(model):
             model, temporal=False, ensemble=ensemble, precision="float32"
         ) as denoiser:
             errors.append(np.square(as_displayed(denoiser.denoise(frame)) - wanted).mean())
-    assert errors[2] < errors[1] < 0.985 * errors[0]
+    assert errors[2] < errors[1] < left * errors[0]
 
 
 def as_displayed(image):

@@ -243,7 +243,6 @@ _WITH_AND_WITHOUT = "error with the past / of each frame alone, 8 frames, worst 
     "a shadow of 0.3 moves 2 to 16 pixels a frame, 2 samples",
     _WITH_AND_WITHOUT,
     1.1,
-    kpyr_5=_HIDDEN_BY_NOISE,
     kpyr_5s=_HIDDEN_BY_NOISE,
     wskp_3=_HIDDEN_BY_NOISE,
     wskp_3s=_HIDDEN_BY_NOISE,
@@ -264,14 +263,7 @@ def shadow_moves_in_little_noise(denoiser: stillray.Denoiser) -> Iterator[float]
     return _past_beside_none(denoiser, 16, 0.3)
 
 
-@case(
-    "the same, 256 samples",
-    _WITH_AND_WITHOUT,
-    1.1,
-    kpyr_5="a hair above it, 1.07 before it learned from rooms against windows; why was not found",
-    kpyr_5s="1.12 at one speed of four, 1.06 before it learned lenses, which brought single frames "
-    "of Cycles' moving shadow 1.1 dB, and frames with a past .5",
-)
+@case("the same, 256 samples", _WITH_AND_WITHOUT, 1.1)
 def shadow_moves_in_quiet_frames(denoiser: stillray.Denoiser) -> Iterator[float]:
     return _past_beside_none(denoiser, 256, 0.3)
 
@@ -295,7 +287,6 @@ def half_shadow_moves(denoiser: stillray.Denoiser) -> Iterator[float]:
     "a reflection of 4 times the light, 16 samples",
     _WITH_AND_WITHOUT,
     1.1,
-    kpyr_5=_HIDDEN_BY_NOISE,
     kpyr_5s=_HIDDEN_BY_NOISE,
     nbg_7x3=_HIDDEN_BY_NOISE,
     wskp_6=_HIDDEN_BY_NOISE,

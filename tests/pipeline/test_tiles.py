@@ -193,3 +193,10 @@ def test_broken_pixels_are_repaired_across_tiles(in_tiles):
     frame = make_frame(97, 150)
     frame.color[30:70, 40:80] = np.nan
     assert max(differences("wskp-3s", [frame])) < TOLERANCE
+
+
+def test_tiles_count_the_samples_of_their_own_pixels(in_tiles, rng):
+    in_tiles(2 * 208 + 48)
+    samples = rng.choice(np.float32([1, 4, 64]), (65, 500))
+    frames = [replace(make_frame(65, 500, seed, shift=1.5), samples=samples) for seed in range(2)]
+    assert max(differences("kpyr-5", frames)) < TOLERANCE

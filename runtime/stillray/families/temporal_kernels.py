@@ -429,4 +429,5 @@ def crop(prepared: Prepared, tile: Tile, watch: Watch) -> Prepared:
         values["sample"] = np.ascontiguousarray(prepared.sample[:, *tile.outer])
     past = prepared.history
     values["history"] = replace(past, mean=cut(past.mean), surface_guides=None)
+    values["counts"] = replace(prepared.counts, share=cut(prepared.counts.share))
     return replace(prepared, **values)

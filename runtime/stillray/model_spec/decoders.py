@@ -106,6 +106,10 @@ class PyramidKernels(Decoder):
     # its eight neighbours, one after the other, weighed by the squares of what the resolve weighs
     # them: where the resolve is wide open, at what a lens does not show sharp, albedo is noise.
     albedo_filters: tuple[int, ...] = ()
+    # In the resolve the last output weighs ``(samples / 2) ** -recall_power`` of what the network
+    # says, where a frame tells that it has more than 2 samples a pixel: looks between pixels and
+    # mirrors put it off, however little noise there is; [0, 1], 0: all of it.
+    recall_power: float = 0.0
     # Views of a frame whose pictures are averaged, 1 to 4, see `stillray.families.views`.
     ensemble: int = 1
 
@@ -115,6 +119,7 @@ class PyramidKernels(Decoder):
         within("decoder.logit_bound", self.logit_bound, 1e-3, MAX_LOGIT)
         within("decoder.filter_tone", self.filter_tone, 0, _MOST_TONE)
         within("decoder.resolve_tone", self.resolve_tone, 0, _MOST_TONE)
+        within("decoder.recall_power", self.recall_power, 0, 1)
         each("decoder.finest_neighbours", self.finest_neighbours, 1, _MAX_WINDOW // 2)
         each("decoder.finest_filters", self.finest_filters, 1, _MAX_WINDOW // 2)
         each("decoder.albedo_filters", self.albedo_filters, 1, _MAX_WINDOW // 2)

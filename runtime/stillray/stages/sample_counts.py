@@ -20,6 +20,8 @@ from stillray.arrays.strips import Strips
 #: Share of the mean's samples that a pixel counts as at least, if it has any: float32 holds what
 #: is divided by it, and what is filled in still weighs less.
 LEAST_SHARE = 1e-3
+#: Samples a pixel up to which a last output weighs as much as the network says.
+FEW_SAMPLES = 2.0
 MOST_SCALE = 1e6  # a change of samples between frames beyond which a past is all or nothing
 
 
@@ -88,6 +90,19 @@ class SampleCounts:
         if self.mean is None:
             return 1.0
         return max(share * self.mean, min(self.mean, 1.0))
+
+    def past_weight(self, power: float, rows: slice) -> np.ndarray | float:
+        """What a past weighs beside a pixel's samples: their power, above `FEW_SAMPLES`, (0, 1].
+
+        A number, 1 where nobody said, or ``(h, w)`` of some rows where pixels differ.
+        """
+        if self.mean is None or not power:
+            return 1.0
+        if self.share is None:
+            return float(max(self.mean / FEW_SAMPLES, 1.0) ** -power)
+        times = np.maximum(self.share[rows] * np.float32(self.mean / FEW_SAMPLES), np.float32(1))
+        weight: np.ndarray = times ** np.float32(-power)
+        return weight
 
     def held_by_pixel(self, held: np.ndarray, rows: slice) -> None:
         """Bring what the past holds, ``(h, w)`` of some rows, to frames like its pixels."""

@@ -179,6 +179,8 @@ class Filterable:
         1 / irradiance.
     filter_sharpness
         See `stillray.pixel_filter.filter_sharpness`.
+    counts
+        The frame's samples.
     """
 
     mean: np.ndarray
@@ -187,6 +189,7 @@ class Filterable:
     previous: np.ndarray | None = None
     exposure: float = 1.0
     filter_sharpness: float = 1.0
+    counts: SampleCounts = SampleCounts()  # noqa: RUF009  a value that nobody can change
 
 
 def filterable(prepared: Prepared, previous: np.ndarray | None) -> Filterable:
@@ -198,4 +201,5 @@ def filterable(prepared: Prepared, previous: np.ndarray | None) -> Filterable:
         previous=previous,
         exposure=prepared.history.exposure,
         filter_sharpness=filter_sharpness(prepared.filter_spread),
+        counts=prepared.counts,
     )
