@@ -17,6 +17,7 @@ from stillray_training.evaluate import __main__ as evaluate
 from stillray_training.evaluate import methods, report, scores
 from stillray_training.film import film_variance, through_film
 from stillray_training.peers import PEERS, find_peer
+from stillray_training.simulate.sequence import RECORD
 from tests.conftest import clean_color, make_frame
 
 SIZE = 40, 48
@@ -353,6 +354,19 @@ def test_models_are_told_the_filter_that_files_have_then_the_one_that_is_named(
     cases = evaluate.find_all([str(tmp_path)], pixel_filter=option)
     told = [case.read()[0][-1].filter_spread for case in cases]
     assert told == [each and pytest.approx(each) for each in expected]
+
+
+def test_models_are_told_the_samples_that_files_say_then_those_of_the_record(tmp_path):
+    for name in "abc":
+        write_sequence(tmp_path / name, 1, [0])
+    path = tmp_path / "a" / "frame_0000.exr"
+    color = read_exr(path).color
+    planes = {c: color[..., i] for i, c in enumerate("RGB")}
+    write_channels(path, planes, attributes={"stillray:samples": 4.0})
+    for name in "ab":
+        (tmp_path / name / RECORD).write_text(json.dumps({"options": {"spp": 16}}))
+    told = [case.read()[0][-1].samples for case in evaluate.find_all([str(tmp_path)])]
+    assert told == [4, 16, None]
 
 
 def test_frames_and_references_go_through_a_film_whose_samples_count_in_several_pixels(tmp_path):

@@ -72,6 +72,12 @@ def read_filter(sequence: Path) -> float | None:
     return None if told is None else float(told)
 
 
+def read_samples(sequence: Path) -> float | None:
+    """Samples a pixel of the frames of a sequence; None where its record does not say."""
+    told = json.loads((sequence / RECORD).read_text()).get("options", {}).get("spp")
+    return None if told is None else float(told)
+
+
 def make_target(sequence: Path) -> float:
     """Write the target of a sequence; its brightness over the reference's, minus 1, tone-mapped."""
     reference_path = sorted(sequence.glob("ref_*.exr"))[-1]

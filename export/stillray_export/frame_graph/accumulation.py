@@ -74,3 +74,9 @@ class SampleCounts:
         scale = scale.clamp(1 / MOST_SCALE, MOST_SCALE)
         self.past_scale = torch.where(known, scale, 1.0)
         self.told = torch.where(self.mean > 0, self.mean, 1.0)
+
+    def past_weight(self, power: float) -> Tensor:
+        """What a past weighs beside each pixel's samples, ``(1, 1, h, w)``; 1 where nobody said."""
+        from stillray.stages.sample_counts import FEW_SAMPLES
+
+        return (self.mean * self.share / FEW_SAMPLES).clamp(min=1) ** -power

@@ -202,7 +202,7 @@ class FrameGraph(nn.Module):
         held = torch.cat([held[:, :3], held[:, 3:] * trusted], 1)
         mean, total, sample, local = self.accumulate(frame, held, irradiance, light, final)
         disoccluded = (total <= sample[:, 4:]).to(torch.float32)
-        counts = frame.counts
+        counts, power = frame.counts, self.options.recall_power
         total, worth = total * counts.share, sample[:, 3:4] * counts.share
         places = follow_nearer(motion, frame.depth)
         modulator, albedo, frames = self._albedo(frame, past, by, places)
@@ -224,6 +224,7 @@ class FrameGraph(nn.Module):
             depth_unit=depth_scale(frame.depth),
             told=counts.told,
             filter_spread=frame.filter_spread,
+            past_weight=counts.past_weight(power) if power else None,
         )
         numbers = torch.stack(
             [final, exposure * frame.moves, noise.frames * frame.moves, counts.mean, frames]
@@ -327,7 +328,8 @@ class FrameGraph(nn.Module):
         if toned := self.options.resolve_tone:
             exposure = self._exposure(frame).reshape(1, 1, 1, 1)
             tone = toned * filter_sharpness(frame.filter_spread) * exposure
-        image = resolve(image, weights, frame.previous, frame.valid, tone)
+        valid = frame.valid if frame.past_weight is None else frame.valid * frame.past_weight
+        image = resolve(image, weights, frame.previous, valid, tone)
         if self.spec.relief.window:
             image = image * self._relief(frame, image)
         picture, exposure = image, self._exposure(frame)

@@ -20,7 +20,7 @@ from stillray.frame import Frame
 from stillray.io.exr.read import read_exr
 from stillray_training.film import film_variance, frame_through_film, through_film, widened
 from stillray_training.simulate.sequence import RECORD
-from stillray_training.targets import read_filter
+from stillray_training.targets import read_filter, read_samples
 
 #: The sets of a folder, as ``--only`` takes them.
 KINDS = ("sequences", "frames", "stills", "fed")
@@ -78,9 +78,11 @@ class Case:
 
     def _frame(self, path: Path) -> Frame:
         frame = read_exr(path)
-        known = frame.filter_spread
-        if known is None and (path.parent / RECORD).is_file():
-            known = read_filter(path.parent)
+        known, samples = frame.filter_spread, frame.samples
+        if (path.parent / RECORD).is_file():
+            known = read_filter(path.parent) if known is None else known
+            samples = read_samples(path.parent) if samples is None else samples
+        frame = dataclasses.replace(frame, samples=samples)
         known = self.filter_spread if known is None else known
         if self.film:
             frame = frame_through_film(frame, self.film)
