@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -45,8 +45,7 @@ def read_target(sequence: Path) -> tuple[np.ndarray, float]:
     paths = sorted(sequence.glob("target_*.exr")) or sorted(sequence.glob("ref_*.exr"))
     if not paths:
         raise InputError(f"{sequence}: must hold a reference, ref_0007.exr for frame_0007.exr")
-    options = json.loads((sequence / RECORD).read_text())["options"]
-    return read_exr(paths[-1]).color, float(options["spp"])
+    return read_exr(paths[-1]).color, float(_record(sequence)["options"]["spp"])
 
 
 def read_albedo_target(sequence: Path) -> np.ndarray | None:
@@ -66,7 +65,7 @@ def read_filter(sequence: Path) -> float | None:
     None where its record does not say. What stillray's simulator renders has a box, unless its
     samples fill a part of their pixels alone.
     """
-    record = json.loads((sequence / RECORD).read_text())
+    record = _record(sequence)
     simulated = "integrator" in record and record["options"].get("spread", 1.0) == 1
     told = record.get("filter_spread", filter_spread("box") if simulated else None)
     return None if told is None else float(told)
@@ -74,7 +73,7 @@ def read_filter(sequence: Path) -> float | None:
 
 def read_samples(sequence: Path) -> float | None:
     """Samples a pixel of the frames of a sequence; None where its record does not say."""
-    told = json.loads((sequence / RECORD).read_text()).get("options", {}).get("spp")
+    told = _record(sequence).get("options", {}).get("spp")
     return None if told is None else float(told)
 
 
@@ -83,7 +82,7 @@ def make_target(sequence: Path) -> float:
     reference_path = sorted(sequence.glob("ref_*.exr"))[-1]
     reference = read_exr(reference_path).color
     frame = read_exr(sequence / reference_path.name.replace("ref", "frame"))
-    spp = json.loads((sequence / RECORD).read_text())["options"]["spp"]
+    spp = _record(sequence)["options"]["spp"]
     features = mean_frame(read_blocks(sequence, frame, spp))
     path = sequence / reference_path.name.replace("ref", "target")
     return _write_target(path, replace(features, color=reference))
@@ -122,8 +121,12 @@ def _write_target(path: Path, reference: Frame) -> float:
 
 def has_own_features(sequence: Path) -> bool:
     """Whether references come with albedo and normal, see ``--reference-features``."""
-    options = json.loads((sequence / RECORD).read_text())["options"]
-    return bool(options.get("reference_features", 0))
+    return bool(_record(sequence)["options"].get("reference_features", 0))
+
+
+def _record(sequence: Path) -> dict[str, Any]:
+    record: dict[str, Any] = json.loads((sequence / RECORD).read_text())
+    return record
 
 
 def main(folder: Annotated[Path, typer.Argument(help="A folder of rendered sequences.")]) -> None:

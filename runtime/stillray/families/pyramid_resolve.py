@@ -63,13 +63,13 @@ class Finest:
         elif tone(light, self.level.options):
             around = self.toned(padded, light, workspace)
         past = None if light.previous is None else light.previous[rows]
-        recalled = light.counts.past_weight(self.level.options.recall_power, rows)
         at = self.level.layout.resolve
         weights = workspace.array("weights", (at.stop - at.start, *out.shape[:2]))
         self.level.logits.weights(at, rows, weights)
         if around is not None:
             _weigh_brighter_less(around, weights[: len(NEIGHBOURS)], workspace)
-        if past is not None and np.min(recalled) < 1:
+        recalled = light.counts.past_weight(self.level.options.recall_power, rows)
+        if past is not None and recalled is not None:
             weights[-1] *= recalled
         _resolve(padded, weights, past, out, workspace)
 

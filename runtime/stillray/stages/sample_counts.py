@@ -91,13 +91,13 @@ class SampleCounts:
             return 1.0
         return max(share * self.mean, min(self.mean, 1.0))
 
-    def past_weight(self, power: float, rows: slice) -> np.ndarray | float:
-        """What a past weighs beside a pixel's samples: their power, above `FEW_SAMPLES`, (0, 1].
+    def past_weight(self, power: float, rows: slice) -> np.ndarray | float | None:
+        """What a past weighs beside a frame's samples: ``(samples / FEW_SAMPLES) ** -power``, to 1.
 
-        A number, 1 where nobody said, or ``(h, w)`` of some rows where pixels differ.
+        A number, or ``(h, w)`` of some rows where pixels differ; None where nobody said.
         """
         if self.mean is None or not power:
-            return 1.0
+            return None
         if self.share is None:
             return float(max(self.mean / FEW_SAMPLES, 1.0) ** -power)
         times = np.maximum(self.share[rows] * np.float32(self.mean / FEW_SAMPLES), np.float32(1))

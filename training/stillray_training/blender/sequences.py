@@ -90,8 +90,9 @@ class Options:
         for name in ("size", "reference"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
-        shares = ("rooms", "panelled", "backlit", "box", "relief", "slender", "lamps")
-        for name in (*shares, "shallow", "many"):
+        for name in (
+            "rooms", "panelled", "backlit", "box", "relief", "slender", "lamps", "shallow", "many",
+        ):  # fmt: skip
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be 0 to 1, got {getattr(self, name)}")
         if not 1 <= self.motion <= 100:

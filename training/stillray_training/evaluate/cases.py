@@ -82,12 +82,12 @@ class Case:
         if (path.parent / RECORD).is_file():
             known = read_filter(path.parent) if known is None else known
             samples = read_samples(path.parent) if samples is None else samples
-        frame = dataclasses.replace(frame, samples=samples)
         known = self.filter_spread if known is None else known
         if self.film:
             frame = frame_through_film(frame, self.film)
             known = widened(known, film_variance(self.film))
-        return dataclasses.replace(frame, filter_spread=known if self.tells_filter else None)
+        known = known if self.tells_filter else None
+        return dataclasses.replace(frame, filter_spread=known, samples=samples)
 
 
 def find_cases(
