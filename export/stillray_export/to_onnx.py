@@ -194,8 +194,8 @@ def as_specified_now(trained: ModelSpec) -> ModelSpec:
         return trained
     # rules as well: no output of the network is there for them
     names = (
-        "filter_tone", "resolve_tone", "recall_power", "albedo_filters", "sharp_recall",
-        "learning_rate",
+        "filter_tone", "resolve_tone", "recall_power", "recall_noise",
+        "albedo_filters", "sharp_recall", "learning_rate",
     )  # fmt: skip
     rules = {name: value for name, value in vars(trained.decoder).items() if name in names}
     if dataclasses.replace(now.decoder, **rules) != trained.decoder:

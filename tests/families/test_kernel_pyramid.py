@@ -10,7 +10,6 @@ from stillray.arrays.strips import Strips, planes_of
 from stillray.families import kernel_pyramid as pyramid
 from stillray.families.pyramid_logits import level_layout, level_logits
 from stillray.model_spec import load
-from stillray.stages.sample_counts import SampleCounts
 from stillray.stages.state import Filterable
 from tests import oracles
 from tests.families.test_depth_to_space import by_blocks
@@ -18,14 +17,14 @@ from tests.families.test_depth_to_space import by_blocks
 OPTIONS = load("kpyr-5").decoder
 
 
-def filtered(mean, sample, albedo, previous, logits, options, strips, exposure=1.0, samples=None):
+def filtered(mean, sample, albedo, previous, logits, options, strips, exposure=1.0, recalled=None):
     light = Filterable(
         mean=mean,
         sample=sample,
         remodulation_albedo=albedo,
         previous=previous,
         exposure=exposure,
-        counts=SampleCounts.of(samples, None),
+        recalled=recalled,
     )
     image = pyramid.filter_pyramid(light, logits, options, strips)
     few_rows = Strips(1, pixels=2 * mean.shape[1])
@@ -140,25 +139,19 @@ def test_an_averaged_albedo_equals_the_loop_oracle(height, width, distances):
         np.testing.assert_allclose(got, expected, rtol=5e-6)
 
 
-@pytest.mark.parametrize("samples", [None, 0.25, 2, 16, "by pixel"])
-def test_a_last_output_weighs_less_the_more_samples_a_frame_says_it_has(samples):
-    options = dataclasses.replace(OPTIONS, recall_power=0.5)
+def test_a_last_output_weighs_what_the_frame_recalls_of_it(rng):
     height, width = 9, 14
     mean, sample, albedo, previous, logits = draw(height, width)
-    each = np.full(
-        (height, width), 1 if samples is None else samples if samples != "by pixel" else 0
-    )
-    if samples == "by pixel":
-        samples = np.random.default_rng(1).choice(np.float32([0, 0.5, 4, 100]), (height, width))
-        each = np.where(samples > 0, samples, samples[samples > 0].mean())  # filled in: as the mean
-    got = filtered(mean, sample, albedo, previous, logits, options, Strips(2), samples=samples)
+    recalled = rng.random((height, width), np.float32)
+    got = filtered(mean, sample, albedo, previous, logits, OPTIONS, Strips(2), recalled=recalled)
     weighed = previous.astype(np.float64)
-    weighed[..., 3] /= np.sqrt(np.maximum(each / 2, 1))
+    weighed[..., 3] *= recalled
     expected = oracles.kernel_pyramid(mean, sample, albedo, weighed, logits, OPTIONS)
     np.testing.assert_allclose(got, expected, rtol=5e-6)
-    if samples is None:  # as before this was known
-        plain = filtered(mean, sample, albedo, previous, logits, OPTIONS, Strips(2))
-        np.testing.assert_array_equal(got, plain)
+    whole = np.ones((height, width), np.float32)
+    plain = filtered(mean, sample, albedo, previous, logits, OPTIONS, Strips(2))
+    got = filtered(mean, sample, albedo, previous, logits, OPTIONS, Strips(2), recalled=whole)
+    np.testing.assert_array_equal(got, plain)
 
 
 def filters_alone(height, width, options):

@@ -20,17 +20,21 @@ import cv2
 import numpy as np
 
 from stillray.arrays.strips import Strips, interleave
+from stillray.arrays.workspace import Workspace
 from stillray.errors import InputError
 from stillray.families.contract import Context, Request
 from stillray.families.registry import kernels_of
 from stillray.frame import Frame
 from stillray.model_spec import ModelSpec
+from stillray.model_spec.decoders import PyramidKernels
 from stillray.pipeline.denoiser import Denoiser
 from stillray.pipeline.prefilter import Prefilter
 from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
 from stillray.stages.previous_output import resample
+from stillray.stages.recall import Recall
 from stillray.stages.reproject import positions_of
+from stillray.stages.sample_counts import SampleCounts
 from stillray.stages.state import History, Prepared
 from stillray_training.blocks import alike_frames, mean_frame
 from stillray_training.draws import log_uniform
@@ -87,6 +91,7 @@ class Example:
     sequence: Path = Path()  # its folder
     draw: int = 0  # which drawing of the sequence it is of, see `load_examples`
     frames: int = 1  # accumulated
+    recalled: np.ndarray | None = None  # (h, w) what the last output weighs; None: 1
     rendered_spread: float | None = None  # of the render's pixel filter, pixels; None: not known
     film_variance: float = 0.0  # what a wider film added to that, square pixels
 
@@ -148,6 +153,25 @@ class Runtime:
                 valid = _valid_output(output[..., :3])  # each is an output, wherever it was seen
                 output = resample(valid, positions, self._strips, sharp=sharp)
         return output
+
+    def recall(
+        self, example: Example, previous: np.ndarray, color: np.ndarray, samples: float
+    ) -> Example:
+        """An example after which some output ``(h, w, 4)`` was the last.
+
+        ``color`` ``(h, w, 3)`` is the frame's, of so many samples a pixel.
+        """
+        share: np.ndarray | None = None
+        options = self.spec.decoder
+        if isinstance(options, PyramidKernels) and options.recall_noise:
+            recall = Recall(
+                power=options.recall_power,
+                limit=options.recall_noise,
+                counts=SampleCounts(mean=samples),
+            )
+            color = np.maximum(color, np.float32(0))
+            share = recall.share(previous, color, example.exposure, self._strips, Workspace())
+        return replace(example, previous=previous, recalled=share)
 
     def example(self, run: list[Frame], reference: np.ndarray) -> Example:
         """The last of some frames in a row, and what it is to become."""
@@ -260,8 +284,11 @@ def _quiet_example(
     example = replace(runtime.example(run, reference), spp=samples, kind=QUIET)
     if shining and past:
         # the last output of frames without fireflies: the picture as it should be
-        return replace(example, previous=_valid_output(reference))
-    return _with_blurred_past(example, rng) if past else example
+        return runtime.recall(example, _valid_output(reference), run[-1].color, samples)
+    if not past:
+        return example
+    example = _with_blurred_past(example, rng)
+    return runtime.recall(example, example.previous, frame.color, samples)
 
 
 def _wandering(run: list[Frame], light: np.ndarray, rng: np.random.Generator) -> list[Frame]:
@@ -311,7 +338,8 @@ def _lit_example(
     previous = _valid_output(before)
     if rng.random() < _LOOKED:
         previous = runtime.looked_up(previous, int(rng.integers(1, _LOOKS + 1)), rng)
-    return replace(example, spp=samples, kind=STILL, frames=len(run), previous=previous)
+    example = runtime.recall(example, previous, run[-1].color, samples)
+    return replace(example, spp=samples, kind=STILL, frames=len(run))
 
 
 def _stills(
@@ -385,10 +413,13 @@ class Remembered(NamedTuple):
         Accumulated light and samples, looked up beside edges of its output as the runtime does.
     previous : (h, w, 4) float32
         Radiance of the last output at the pixels of this frame, and how much of it is valid.
+    recalled : (h, w) float32 or None
+        What it weighs in the picture, see `stillray.stages.recall`; None: all of it.
     """
 
     mean: np.ndarray
     previous: np.ndarray
+    recalled: np.ndarray | None
 
 
 def remembered(sequence: Path, denoiser: Denoiser, strips: Strips) -> dict[int, Remembered]:
@@ -423,5 +454,5 @@ def remembered(sequence: Path, denoiser: Denoiser, strips: Strips) -> dict[int, 
         plan = family.plan(last, denoiser.state, Request(), context)
         prepared, previous = family.prepare(plan, context)
         if previous is not None:
-            found[count] = Remembered(prepared.history.mean, previous)
+            found[count] = Remembered(prepared.history.mean, previous, prepared.recalled)
     return found

@@ -87,7 +87,8 @@ def _pyramid(
     # of a box, whatever filter a patch has: recipes whose scenes have others train with 0
     toned = spec.decoder.resolve_tone
     tone = toned * batch["exposure"] if toned else None
-    return resolve(image, finest.resolve, batch["previous"], batch["valid"], tone)
+    valid = batch["valid"] * batch["recalled"] if "recalled" in batch else batch["valid"]
+    return resolve(image, finest.resolve, batch["previous"], valid, tone)
 
 
 def _multires(

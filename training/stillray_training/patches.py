@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +37,7 @@ class Batch:
     divisor: np.ndarray  # the albedo that the result is multiplied by
     previous: np.ndarray
     valid: np.ndarray
+    recalled: np.ndarray  # what the last output weighs in the resolve, a share
     reference: np.ndarray
     exposure: np.ndarray  # (n, 1, 1, 1)
 
@@ -183,9 +185,22 @@ class PatchSampler:
             "divisor": _chw(remodulation),
             "previous": _chw(previous[..., :3]),
             "valid": previous[None, ..., 3],
+            "recalled": _recalled(example, window, turn),
             "reference": _chw(reference),
             "exposure": np.full((1, 1, 1), exposure, np.float32),
         }
+
+
+def _recalled(
+    example: Example,
+    window: tuple[slice, slice],
+    turn: Callable[[np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """What the last output weighs in a patch, ``(1, h, w)``."""
+    if example.recalled is None:
+        height, width = example.reference[window].shape[:2]
+        return np.ones((1, height, width), np.float32)
+    return turn(example.recalled[window])[None].astype(np.float32)
 
 
 def _offset(rng: np.random.Generator, room: int) -> int:

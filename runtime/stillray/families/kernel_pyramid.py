@@ -12,7 +12,7 @@ light is invented.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -20,6 +20,7 @@ import numpy as np
 from stillray.arrays.extend import extended
 from stillray.arrays.strips import Strips, planes_of
 from stillray.families.albedo_average import averaged
+from stillray.families.contract import Context
 from stillray.families.cost import kernel_pyramid_cost
 from stillray.families.finest_filters import filter_finest
 from stillray.families.gaussian import share_of_bright
@@ -35,7 +36,8 @@ from stillray.model_spec.decoders import PyramidKernels
 from stillray.model_spec.loader import ModelSpec
 from stillray.model_spec.networks import PyramidNetwork
 from stillray.models.steps import InSteps, Output
-from stillray.stages.state import Filterable
+from stillray.stages.recall import Recall
+from stillray.stages.state import Filterable, Prepared
 from stillray.timing import timed
 
 
@@ -104,6 +106,20 @@ class KernelPyramidModel(TemporalKernels):
             sharp=spec.decoder.sharp_recall,
         )
         super().__init__(spec, looks)
+
+    def recalling(
+        self, prepared: Prepared, previous: np.ndarray, color: np.ndarray, context: Context
+    ) -> Prepared:
+        """A frame whose samples are compared with the last output, see `TemporalKernels`."""
+        options = self._options
+        if not options.recall_noise:
+            return prepared
+        recall = Recall(
+            power=options.recall_power, limit=options.recall_noise, counts=prepared.counts
+        )
+        exposure = prepared.history.exposure
+        share = recall.share(previous, color, exposure, context.strips, context.workspace)
+        return replace(prepared, recalled=share)
 
     def reconstruct(
         self,

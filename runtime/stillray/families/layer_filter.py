@@ -127,7 +127,7 @@ class FilteredLayers:
             remodulation_albedo=None if layer.irradiance else prepared.remodulation_albedo,
             previous=self._previous(name, sharp=layer.is_light),
             filter_sharpness=filter_sharpness(prepared.filter_spread),
-            counts=prepared.counts,
+            recalled=prepared.recalled,
         )
         image = mean_picture(
             self._kernels.reconstruct(own, outputs, self._strips, {}) for outputs in self._frozen

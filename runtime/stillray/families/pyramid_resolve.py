@@ -68,9 +68,8 @@ class Finest:
         self.level.logits.weights(at, rows, weights)
         if around is not None:
             _weigh_brighter_less(around, weights[: len(NEIGHBOURS)], workspace)
-        recalled = light.counts.past_weight(self.level.options.recall_power, rows)
-        if past is not None and recalled is not None:
-            weights[-1] *= recalled
+        if past is not None and light.recalled is not None:
+            weights[-1] *= light.recalled[rows]
         _resolve(padded, weights, past, out, workspace)
 
     def all_toned(self, light: Filterable, strips: Strips) -> np.ndarray | None:

@@ -141,6 +141,22 @@ class TemporalKernels(ABC):
         """
         return outputs
 
+    def recalling(
+        self, prepared: Prepared, previous: np.ndarray, color: np.ndarray, context: Context
+    ) -> Prepared:
+        """A prepared frame that says how much of the last output the picture takes.
+
+        Parameters
+        ----------
+        prepared, previous
+            The frame, and the last output at its pixels.
+        color : (h, w, 3) float32
+            Radiance of the frame.
+        context
+            Where the work runs.
+        """
+        return prepared
+
     def wants(self, request: Request) -> Wants:
         """What is wanted of the stages before the network."""
         return Wants(
@@ -253,6 +269,8 @@ class TemporalKernels(ABC):
             previous = previous_output.resampled(
                 early.past, prepared, context.strips, context.workspace, sharp=self.looks.sharp
             )
+            if previous is not None:
+                prepared = self.recalling(prepared, previous, early.buffers.color, context)
         return prepared, previous
 
     def _tiled(

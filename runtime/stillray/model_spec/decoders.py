@@ -110,6 +110,10 @@ class PyramidKernels(Decoder):
     # says, where a frame tells that it has more than 2 samples a pixel: looks between pixels and
     # mirrors put it off, however little noise there is; [0, 1], 0: all of it.
     recall_power: float = 0.0
+    # And less where it differs from the frame's sample by more than so many times the noise of the
+    # frame, see `stillray.stages.recall`, which also tells samples that a frame does not tell;
+    # [1, 100], or 0: neither of these rules.
+    recall_noise: float = 0.0
     # Views of a frame whose pictures are averaged, 1 to 4, see `stillray.families.views`.
     ensemble: int = 1
 
@@ -120,6 +124,8 @@ class PyramidKernels(Decoder):
         within("decoder.filter_tone", self.filter_tone, 0, _MOST_TONE)
         within("decoder.resolve_tone", self.resolve_tone, 0, _MOST_TONE)
         within("decoder.recall_power", self.recall_power, 0, 1)
+        if self.recall_noise:
+            within("decoder.recall_noise", self.recall_noise, 1, 100)
         each("decoder.finest_neighbours", self.finest_neighbours, 1, _MAX_WINDOW // 2)
         each("decoder.finest_filters", self.finest_filters, 1, _MAX_WINDOW // 2)
         each("decoder.albedo_filters", self.albedo_filters, 1, _MAX_WINDOW // 2)

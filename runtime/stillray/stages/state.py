@@ -140,6 +140,9 @@ class Prepared:
         The frame's samples.
     filter_spread
         As in `stillray.Frame`.
+    recalled : (h, w) float32 or None
+        What the last output weighs in the picture, as a share of what the network says, see
+        `stillray.stages.recall`; None: all of it.
     """
 
     history: History
@@ -159,6 +162,7 @@ class Prepared:
     history_confidence: np.ndarray | None = None
     counts: SampleCounts = SampleCounts()  # noqa: RUF009  a value that nobody can change
     filter_spread: float | None = None
+    recalled: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -179,8 +183,8 @@ class Filterable:
         1 / irradiance.
     filter_sharpness
         See `stillray.pixel_filter.filter_sharpness`.
-    counts
-        The frame's samples.
+    recalled : (h, w) float32 or None
+        As of the frame.
     """
 
     mean: np.ndarray
@@ -189,7 +193,7 @@ class Filterable:
     previous: np.ndarray | None = None
     exposure: float = 1.0
     filter_sharpness: float = 1.0
-    counts: SampleCounts = SampleCounts()  # noqa: RUF009  a value that nobody can change
+    recalled: np.ndarray | None = None
 
 
 def filterable(prepared: Prepared, previous: np.ndarray | None) -> Filterable:
@@ -201,5 +205,5 @@ def filterable(prepared: Prepared, previous: np.ndarray | None) -> Filterable:
         previous=previous,
         exposure=prepared.history.exposure,
         filter_sharpness=filter_sharpness(prepared.filter_spread),
-        counts=prepared.counts,
+        recalled=prepared.recalled,
     )

@@ -1,0 +1,201 @@
+"""Recall: how much of the last output a picture takes, pixel by pixel.
+
+Geometry and blocks of light tell where a past no longer holds. What they cannot tell are single
+pixels: petals before a window, a faucet's glint, an edge in a mirror, looked up a part of a pixel
+off. Where a frame's samples are good, they tell. So the last output is compared with the frame's
+own sample, in units of the noise of this frame, and counts less where they differ by more than
+that. Noise is measured there as well: it is what they differ by at most pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stillray.arrays.bounds import at_least, at_most
+from stillray.arrays.strips import STRIP_PIXELS, Strips
+from stillray.arrays.workspace import Workspace
+from stillray.stages.features import luminance
+from stillray.stages.sample_counts import SampleCounts
+
+BLOCK = 16  # pixels, of which noise is measured together; windows are 3x3 blocks
+#: Exposed radiance that is added where ratios are taken: black is no less than that.
+DARK = 0.05
+#: Logarithm of a ratio below which two lights are the same: emitters and skies have no noise, and
+#: say nothing about it.
+LEAST_APART = 0.01
+#: Share of a window's pixels that say something, at which the whole frame's noise counts as much.
+LITTLE_TOLD = 0.02
+#: Noise has a longer tail the larger it is: its reach is ``noise (1 + TAIL noise)``.
+TAIL = 4.0
+#: Noise at which a frame that does not tell its samples is taken to have few of them.
+USUAL_NOISE = 0.4
+_BRIGHTEST = np.float32(1e30)  # exposed, of what is compared: ratios of two such are numbers
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recall:
+    """By what a frame takes of the last output.
+
+    Attributes
+    ----------
+    power, limit
+        ``recall_power`` and ``recall_noise`` of `stillray.model_spec.decoders.PyramidKernels`.
+    counts
+        The frame's samples.
+    """
+
+    power: float
+    limit: float
+    counts: SampleCounts
+
+    def share(
+        self,
+        previous: np.ndarray,
+        color: np.ndarray,
+        exposure: float,
+        strips: Strips,
+        workspace: Workspace,
+    ) -> np.ndarray:
+        """What the last output weighs in a picture, as a share of what a network says.
+
+        With ``a = |log((p + DARK) / (s + DARK))|`` of the exposed luminance of the last output
+        ``p`` and of this frame's sample ``s``, and the noise ``n`` around, see `_noise`, that is
+        ``1 / (1 + x^2)``, ``x = max(a / (n (1 + TAIL n)) - limit, 0)``, times what the past weighs
+        beside the frame's samples, see `SampleCounts.past_weight`. Where nobody told those,
+        ``n / USUAL_NOISE`` stands for that, up to 1.
+
+        Parameters
+        ----------
+        previous : (h, w, 4) float32
+            The last output at these pixels, and how much of it is valid.
+        color : (h, w, 3) float32
+            Radiance of this frame, finite and >= 0.
+        exposure
+            1 / radiance.
+        strips
+            Where the work runs.
+        workspace
+            Where the result lies from frame to frame.
+
+        Returns
+        -------
+        (h, w) float32
+            In [0, 1].
+        """
+        height, width = previous.shape[:2]
+        share = workspace.array("recalled share", (height, width))
+        noise = _noise(previous, color, exposure, share, strips, workspace)
+        strips.watch.look()
+        reach = noise + np.float32(TAIL) * np.square(noise)
+        of_noise = _by_pixel(reach, workspace.array("reach of noise", _whole(reach)))
+        weight: np.ndarray | None = None
+        if self.power and self.counts.mean is None:
+            quiet = at_most(noise / np.float32(USUAL_NOISE), 1)
+            weight = _by_pixel(quiet, workspace.array("share by noise", of_noise.shape))
+
+        def work(rows: slice) -> None:
+            kept = share[rows]
+            kept /= of_noise[rows, :width]
+            kept -= np.float32(self.limit)
+            at_least(kept, 0, out=kept)
+            np.square(kept, out=kept)
+            kept += 1
+            np.reciprocal(kept, out=kept)
+            if weight is not None:
+                kept *= weight[rows, :width]
+            told = self.counts.past_weight(self.power, rows)
+            if told is not None:
+                kept *= told
+
+        strips.run(work, height, width)
+        return share
+
+
+def _noise(
+    previous: np.ndarray,
+    color: np.ndarray,
+    exposure: float,
+    apart: np.ndarray,
+    strips: Strips,
+    workspace: Workspace,
+) -> np.ndarray:
+    """The noise of blocks of 16x16 pixels, ``(rows, columns)``; fills what pixels differ by.
+
+    Noise is the geometric mean of what differs at all, and is in the frame: what moved is little
+    of it. It is that of the whole frame, or of the window around where that is more: beside a
+    sunlit floor a dark corner is as noisy as it is.
+    """
+    height, width = apart.shape
+    rows, columns = -(-height // BLOCK), -(-width // BLOCK)
+    sums = workspace.array("sums of noise", (2, rows, columns))
+
+    def compare(blocks: slice) -> None:
+        some = slice(BLOCK * blocks.start, min(BLOCK * blocks.stop, height))
+        _compare(previous[some], color[some], exposure, apart[some], strips.workspace)
+        _add_up(apart[some], previous[some], sums[:, blocks], strips.workspace)
+
+    strips.run(compare, rows, columns, pixels=STRIP_PIXELS // BLOCK**2)
+    counted, total = (float(plane.sum(dtype=np.float64)) for plane in sums)
+    usual = total / counted if counted > 0 else np.log(LEAST_APART)
+    # beyond the frame there is nothing
+    around = [cv2.blur(plane, (3, 3), borderType=cv2.BORDER_CONSTANT) for plane in sums]
+    local = around[1] + np.float32(LITTLE_TOLD * usual)
+    local /= around[0] + np.float32(LITTLE_TOLD)
+    noise: np.ndarray = np.exp(at_least(local, usual))
+    return noise
+
+
+def _compare(
+    previous: np.ndarray,
+    color: np.ndarray,
+    exposure: float,
+    out: np.ndarray,
+    workspace: Workspace,
+) -> None:
+    """Logarithms of how many times one light is the other, ``(h, w)``, 0 or more."""
+    scale, dark = np.float32(exposure), np.float32(DARK)
+    last, own = luminance(previous, out=out), workspace.array("own", out.shape)
+    luminance(color, out=own)
+    with np.errstate(over="ignore"):
+        for light in (last, own):
+            light *= scale
+            at_most(light, _BRIGHTEST, out=light)
+            light += dark
+    out /= own
+    np.log(out, out=out)
+    np.abs(out, out=out)
+
+
+def _add_up(
+    apart: np.ndarray, previous: np.ndarray, sums: np.ndarray, workspace: Workspace
+) -> None:
+    """Means over blocks ``(2, rows, columns)`` of what says something, and of its logarithm."""
+    shape = (BLOCK * sums.shape[1], BLOCK * sums.shape[2])
+    told, logarithm = workspace.array("told", (2, *shape))
+    inside = np.s_[: apart.shape[0], : apart.shape[1]]
+    if apart.shape != shape:  # beyond the frame nothing says anything
+        told.fill(0)
+        logarithm.fill(0)
+    here = told[inside]
+    np.greater(apart, LEAST_APART, out=here, casting="unsafe")
+    valid = cv2.extractChannel(previous, 3, dst=workspace.array("valid", apart.shape))
+    here *= valid
+    np.log(at_least(apart, LEAST_APART, out=valid), out=logarithm[inside])
+    logarithm[inside] *= here
+    size = sums.shape[2], sums.shape[1]
+    for plane, target in zip((told, logarithm), sums, strict=True):
+        cv2.resize(plane, size, dst=target, interpolation=cv2.INTER_AREA)
+
+
+def _whole(blocks: np.ndarray) -> tuple[int, int]:
+    """Height and width of the pixels of whole blocks."""
+    return BLOCK * blocks.shape[0], BLOCK * blocks.shape[1]
+
+
+def _by_pixel(blocks: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """Blocks at the resolution of their pixels."""
+    size = out.shape[1], out.shape[0]
+    return cv2.resize(blocks, size, dst=out, interpolation=cv2.INTER_LINEAR)
