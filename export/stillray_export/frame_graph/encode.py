@@ -36,8 +36,8 @@ class Prepared:
     filter_spread
         Scalar: of the renderer's pixel filter, pixels, below 0 where not given; None where nobody
         asks.
-    past_weight
-        What the last output weighs beside each pixel's samples in the resolve; None: 1.
+    recalled : (1, 1, h, w) or None
+        What the last output weighs in the resolve, as a share of what the network says; None: 1.
     """
 
     irradiance: Tensor
@@ -55,7 +55,7 @@ class Prepared:
     depth_unit: Tensor
     told: Tensor
     filter_spread: Tensor | None = None
-    past_weight: Tensor | None = None
+    recalled: Tensor | None = None
 
 
 def feature_planes(frame: Prepared, spec: ModelSpec) -> Tensor:

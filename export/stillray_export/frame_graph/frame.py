@@ -29,7 +29,7 @@ from stillray_export.frame_graph.lamps import restored
 from stillray_export.frame_graph.light import local_luminance, tone_map
 from stillray_export.frame_graph.lookup import grid
 from stillray_export.frame_graph.rare_light import rare_light_gain
-from stillray_export.frame_graph.recall import forget_uncovered, recall
+from stillray_export.frame_graph.recall import forget_uncovered, recall, recalled_share
 from stillray_export.frame_graph.reflections import follow_reflections, light_of
 from stillray_export.frame_graph.rejection import Noise, compare, confidence
 from stillray_export.frame_graph.relief import relief_gain
@@ -202,7 +202,7 @@ class FrameGraph(nn.Module):
         held = torch.cat([held[:, :3], held[:, 3:] * trusted], 1)
         mean, total, sample, local = self.accumulate(frame, held, irradiance, light, final)
         disoccluded = (total <= sample[:, 4:]).to(torch.float32)
-        counts, power = frame.counts, self.options.recall_power
+        counts = frame.counts
         total, worth = total * counts.share, sample[:, 3:4] * counts.share
         places = follow_nearer(motion, frame.depth)
         modulator, albedo, frames = self._albedo(frame, past, by, places)
@@ -224,8 +224,9 @@ class FrameGraph(nn.Module):
             depth_unit=depth_scale(frame.depth),
             told=counts.told,
             filter_spread=frame.filter_spread,
-            past_weight=counts.past_weight(power) if power else None,
         )
+        if self.options.recall_noise:
+            prepared = replace(prepared, recalled=self._recalled(prepared, counts))
         numbers = torch.stack(
             [final, exposure * frame.moves, noise.frames * frame.moves, counts.mean, frames]
         )
@@ -328,7 +329,7 @@ class FrameGraph(nn.Module):
         if toned := self.options.resolve_tone:
             exposure = self._exposure(frame).reshape(1, 1, 1, 1)
             tone = toned * filter_sharpness(frame.filter_spread) * exposure
-        valid = frame.valid if frame.past_weight is None else frame.valid * frame.past_weight
+        valid = frame.valid if frame.recalled is None else frame.valid * frame.recalled
         image = resolve(image, weights, frame.previous, valid, tone)
         if self.spec.relief.window:
             image = image * self._relief(frame, image)
@@ -339,6 +340,11 @@ class FrameGraph(nn.Module):
             return image, picture
         gain = rare_light_gain(picture, frame.radiance, exposure)
         return image * gain, picture * gain
+
+    def _recalled(self, frame: Prepared, counts: SampleCounts) -> Tensor:
+        """What the last output weighs in the picture, see `stillray.stages.recall`."""
+        lights = luminance(frame.previous), frame.radiance
+        return recalled_share(lights, frame.valid, self._exposure(frame), counts, self.options)
 
     def _relief(self, frame: Prepared, image: Tensor) -> Tensor:
         """What the picture is multiplied by, see `stillray.stages.relief`."""

@@ -1,13 +1,18 @@
-"""The previous output at the current pixels: the twin of `stillray.stages.previous_output`."""
+"""The previous output: the twin of `stillray.stages.previous_output` and of `recall` there."""
 
 from __future__ import annotations
+
+import math
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from stillray.model_spec.decoders import PyramidKernels
+from stillray.stages import recall as stage
+from stillray_export.frame_graph.accumulation import SampleCounts
 from stillray_export.frame_graph.lookup import cubic_taps, linear_taps, mean_of, planes_like
-from stillray_export.frame_graph.windows import least_around, most_around
+from stillray_export.frame_graph.windows import enlarged, least_around, mean_around, most_around
 from stillray_training.decoders.luminance import luminance
 
 _LEAST_VALID, _WHOLE = 1e-3, 1 - 1e-3
@@ -109,3 +114,61 @@ def forget_uncovered(
     trusted = (_STEEP * confidence + (1 - _STEEP)).clamp(0, 1)
     kept = (trusted > 0).to(torch.float32) * (1 - opened)
     return past * kept, valid * trusted * kept
+
+
+def recalled_share(
+    lights: tuple[Tensor, Tensor],
+    valid: Tensor,
+    exposure: Tensor,
+    counts: SampleCounts,
+    options: PyramidKernels,
+) -> Tensor:
+    """What the last output weighs in the picture, see `stillray.stages.recall.Recall.share`.
+
+    Parameters
+    ----------
+    lights : (1, 1, h, w) each
+        Luminance of the last output and of this frame.
+    valid : (1, 1, h, w)
+        How much of the last output is.
+    exposure
+        1 / radiance, a scalar.
+    counts
+        The frame's samples.
+    options
+        ``recall_power`` and ``recall_noise``.
+
+    Returns
+    -------
+    (1, 1, h, w)
+    """
+    height, width = valid.shape[2:]
+    last, own = (
+        (light * exposure).clamp(max=float(stage._BRIGHTEST)) + stage.DARK for light in lights
+    )
+    apart = (last / own).log().abs()
+    noise = _noise(apart, valid)
+    reach = enlarged(noise + stage.TAIL * noise.square(), stage.BLOCK, height, width)
+    share = 1 / (1 + (apart / reach - options.recall_noise).clamp(min=0).square())
+    if not options.recall_power:
+        return share
+    quiet = (noise / stage.USUAL_NOISE).clamp(max=1)
+    by_noise = enlarged(quiet, stage.BLOCK, height, width)
+    told = counts.past_weight(options.recall_power)
+    return share * torch.where(counts.mean > 0, told, by_noise)
+
+
+def _noise(apart: Tensor, valid: Tensor) -> Tensor:
+    """The noise of blocks, ``(1, 1, rows, columns)``, of what pixels differ by."""
+    block = stage.BLOCK
+    height, width = valid.shape[2:]
+    told = (apart > stage.LEAST_APART).to(torch.float32) * valid
+    said = told * apart.clamp(min=stage.LEAST_APART).log()
+    planes = F.pad(torch.cat([told, said], 1), (0, -width % block, 0, -height % block))
+    sums = F.avg_pool2d(planes, block)
+    counted, total = sums.sum((2, 3)).split(1, 1)
+    least = math.log(stage.LEAST_APART)
+    usual = torch.where(counted > 0, total / counted.clamp(min=1e-30), least)[..., None, None]
+    inside, around = mean_around(sums, 3).split(1, 1)
+    local = (around + stage.LITTLE_TOLD * usual) / (inside + stage.LITTLE_TOLD)
+    return torch.maximum(local, usual).exp()

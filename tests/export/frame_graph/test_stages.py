@@ -28,6 +28,7 @@ from stillray.stages import (  # noqa: E402
     repair,
     specular_motion,
 )
+from stillray.stages import recall as runtime_recall  # noqa: E402
 from stillray.stages import reproject as runtime_reproject  # noqa: E402
 from stillray.stages.decide import Wants  # noqa: E402
 from stillray.stages.prepare import prepare  # noqa: E402
@@ -289,6 +290,33 @@ def test_the_last_output_is_recalled(size, sharp):
     got, valid = recall.recall(torch.from_numpy(output[..., :3]), planes(places), sharp=sharp)
     np.testing.assert_allclose(image(got), wanted[..., :3], rtol=2e-3, atol=1e-5)
     np.testing.assert_allclose(image(valid), wanted[..., 3], atol=1e-5)
+
+
+@pytest.mark.parametrize("samples", [None, 1.0, 16.0, "by pixel"])
+@pytest.mark.parametrize("size", SIZES)
+def test_as_much_of_the_last_output_is_recalled(size, samples, rng):
+    light = rng.uniform(0.2, 2, (*size, 3)).astype(np.float32)
+    color = light * np.exp(0.2 * rng.normal(size=(*size, 1))).astype(np.float32)
+    color[rng.random(size) < 0.1] *= 20
+    valid = (rng.random(size) < 0.9).astype(np.float32)
+    previous = np.dstack([light, valid])
+    given = torch.full((1, 1, *size), -1.0)
+    if samples == "by pixel":
+        samples = rng.choice(np.float32([0.5, 4, 100]), size)
+        given = torch.from_numpy(samples)[None, None]
+    elif samples is not None:
+        given = torch.full((1, 1, *size), samples)
+    options = SPEC.decoder
+    own = runtime_recall.Recall(
+        power=options.recall_power,
+        limit=options.recall_noise,
+        counts=RuntimeCounts.of(samples, None),
+    )
+    wanted = own.share(previous, color, 0.7, Strips(1), Workspace())
+    counts = accumulation.SampleCounts(given, scalar(0))
+    lights = tuple(planes(features.luminance(each)) for each in (light, color))
+    got = recall.recalled_share(lights, planes(valid), scalar(0.7), counts, options)
+    np.testing.assert_allclose(image(got), wanted, rtol=2e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("size", [(17, 17), (33, 18), (101, 75)])
