@@ -20,6 +20,7 @@ from stillray.stages.recall import (
     LITTLE_TOLD,
     TAIL,
     USUAL_NOISE,
+    Compared,
     Recall,
 )
 from stillray.stages.sample_counts import SampleCounts
@@ -32,9 +33,10 @@ def recall(samples=None, power=0.5, limit=2.5):
     return Recall(power=power, limit=limit, counts=SampleCounts.of(samples, None))
 
 
-def share(previous, color, exposure=1.0, strips=None, **rules):
+def share(previous, color, exposure=1.0, strips=None, worth=None, **rules):
     strips = strips or Strips(1)
-    return recall(**rules).share(previous, color, exposure, strips, Workspace()).copy()
+    seen = Compared(previous, previous, color, exposure, worth)
+    return recall(**rules).share(seen, strips, Workspace()).copy()
 
 
 def noisy(rng, shape, noise):
@@ -62,13 +64,13 @@ def by_blocks(blocks, shape):
     return found
 
 
-def by_loops(previous, color, exposure, samples, power, limit):
+def by_loops(previous, color, exposure, worth, samples, power, limit):
     """The share in float64: differences, noise of windows and of the frame, by the docstring."""
     previous, color = previous.astype(np.float64), color.astype(np.float64)
     height, width = color.shape[:2]
     last, own = previous[..., :3] @ REC709 * exposure, color @ REC709 * exposure
     apart = np.abs(np.log((last + DARK) / (own + DARK)))
-    told = (apart > LEAST_APART) * previous[..., 3]
+    told = (apart > LEAST_APART) & (previous[..., 3] > 0)
     logarithm = told * np.log(np.maximum(apart, LEAST_APART))
     rows, columns = -(-height // BLOCK), -(-width // BLOCK)
     sums = np.zeros((2, rows + 2, columns + 2))  # a block more on each side
@@ -83,7 +85,7 @@ def by_loops(previous, color, exposure, samples, power, limit):
         local = (said + LITTLE_TOLD * usual) / (inside + LITTLE_TOLD)
         noise[y, x] = np.exp(max(local, usual))
     reach = by_blocks(noise + TAIL * noise**2, (height, width))
-    found = 1 / (1 + np.maximum(apart / reach - limit, 0) ** 2)
+    found = 1 - np.minimum(worth, 1) * (1 - 1 / (1 + np.maximum(apart / reach - limit, 0) ** 2))
     if samples is None:
         quiet = by_blocks(np.minimum(noise / USUAL_NOISE, 1), (height, width))
         return found * quiet if power else found
@@ -100,9 +102,10 @@ def test_the_share_equals_the_loop_oracle(rng, height, width, samples):
     each = samples
     if samples == "by pixel":
         samples = each = rng.choice(np.float32([0.5, 4, 100]), (height, width))
+    worth = rng.uniform(0.1, 1.5, (height, width)).astype(np.float32)
     for power in (0.0, 0.5):
-        expected = by_loops(previous, color, 0.7, each, power, 2.5)
-        got = share(previous, color, 0.7, samples=samples, power=power)
+        expected = by_loops(previous, color, 0.7, worth, each, power, 2.5)
+        got = share(previous, color, 0.7, worth=worth, samples=samples, power=power)
         np.testing.assert_allclose(got, expected, rtol=2e-4, atol=1e-6)
 
 
@@ -121,6 +124,15 @@ def test_where_there_is_little_noise_a_pixel_of_another_light_is_the_frames_own(
         assert got[30:33, 40].max() < most
         assert np.median(got) == 1
         assert got.mean() > 0.97
+
+
+def test_a_firefly_is_no_news(rng):
+    previous, color = noisy(rng, (64, 64), 0.05)
+    color[30, 40] = 1e4
+    worth = np.ones((64, 64), np.float32)
+    worth[30, 40] = 0.01
+    assert share(previous, color, samples=1)[30, 40] < 0.01
+    assert share(previous, color, worth=worth, samples=1)[30, 40] > 0.98
 
 
 def test_where_samples_are_few_one_bright_sample_is_no_news(rng):

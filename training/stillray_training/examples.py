@@ -32,7 +32,7 @@ from stillray.pipeline.prefilter import Prefilter
 from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
 from stillray.stages.previous_output import resample
-from stillray.stages.recall import Recall
+from stillray.stages.recall import Compared, Recall
 from stillray.stages.reproject import positions_of
 from stillray.stages.sample_counts import SampleCounts
 from stillray.stages.state import History, Prepared
@@ -169,8 +169,10 @@ class Runtime:
                 limit=options.recall_noise,
                 counts=SampleCounts(mean=samples),
             )
-            color = np.maximum(color, np.float32(0))
-            share = recall.share(previous, color, example.exposure, self._strips, Workspace())
+            own = np.maximum(color, np.float32(0))
+            worth = np.ascontiguousarray(example.sample[..., 3])
+            seen = Compared(previous, previous, own, example.exposure, worth)
+            share = recall.share(seen, self._strips, Workspace())
         return replace(example, previous=previous, recalled=share)
 
     def example(self, run: list[Frame], reference: np.ndarray) -> Example:

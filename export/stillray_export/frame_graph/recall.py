@@ -118,6 +118,7 @@ def forget_uncovered(
 
 def recalled_share(
     lights: tuple[Tensor, Tensor],
+    worth: Tensor,
     valid: Tensor,
     exposure: Tensor,
     counts: SampleCounts,
@@ -129,6 +130,8 @@ def recalled_share(
     ----------
     lights : (1, 1, h, w) each
         Luminance of the last output and of this frame.
+    worth : (1, 1, h, w)
+        What this frame's samples weigh.
     valid : (1, 1, h, w)
         How much of the last output is.
     exposure
@@ -149,7 +152,8 @@ def recalled_share(
     apart = (last / own).log().abs()
     noise = _noise(apart, valid)
     reach = enlarged(noise + stage.TAIL * noise.square(), stage.BLOCK, height, width)
-    share = 1 / (1 + (apart / reach - options.recall_noise).clamp(min=0).square())
+    beyond = (apart / reach - options.recall_noise).clamp(min=0).square()
+    share = 1 - worth.clamp(max=1) * (1 - 1 / (1 + beyond))
     if not options.recall_power:
         return share
     quiet = (noise / stage.USUAL_NOISE).clamp(max=1)
@@ -162,7 +166,7 @@ def _noise(apart: Tensor, valid: Tensor) -> Tensor:
     """The noise of blocks, ``(1, 1, rows, columns)``, of what pixels differ by."""
     block = stage.BLOCK
     height, width = valid.shape[2:]
-    told = (apart > stage.LEAST_APART).to(torch.float32) * valid
+    told = ((apart > stage.LEAST_APART) & (valid > 0)).to(torch.float32)
     said = told * apart.clamp(min=stage.LEAST_APART).log()
     planes = F.pad(torch.cat([told, said], 1), (0, -width % block, 0, -height % block))
     sums = F.avg_pool2d(planes, block)

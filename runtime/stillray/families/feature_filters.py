@@ -9,7 +9,7 @@ holds is for the network to say.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -40,8 +40,10 @@ from stillray.stages.decide import REJECT
 from stillray.stages.history_rejection import Noise
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.put_back import put_back
+from stillray.stages.recall import Compared, Recall
 from stillray.stages.repair import Buffers, all_within, repair_feature
 from stillray.stages.reproject import Edges, bound_blur
+from stillray.stages.sample_counts import SampleCounts
 from stillray.stages.sharpening import Sharpening, scale
 from stillray.timing import timed
 
@@ -297,6 +299,9 @@ class FeatureFiltersModel:
         by = (depth, buffers.normal, buffers.albedo)
         shown = Shown(color, buffers.broken, exposure, by, _jitter(plan.jitter))
         past, noise = self._past(plan, grid, surfaces, shown, context)
+        if past is not None and self.rules.filters.recall_noise:
+            with timed(timings, "reject_history"):
+                past = self._recalling(past, frame, context)
         return _Seen(grid, frame, surfaces, past, noise)
 
     def _past(
@@ -315,6 +320,14 @@ class FeatureFiltersModel:
             if elsewhere:
                 return None, None
             return past, reject_history(past, shown, grid, buffers.motion, plan.past.noise, strips)
+
+    def _recalling(self, past: Past, frame: Enlarged, context: Context) -> Past:
+        """A past that says what it weighs beside the frame, see `stillray.stages.recall`."""
+        light = past.accumulated.light  # without samples where nothing is known
+        seen = Compared(past.output, light, frame.color, frame.exposure)
+        recall = Recall(power=0.0, limit=self.rules.filters.recall_noise, counts=SampleCounts())
+        share = recall.share(seen, context.strips, context.workspace)
+        return replace(past, recalled=share)
 
     def _exposed(self, plan: UpscalePlan, context: Context) -> tuple[float, np.ndarray]:
         """The exposure, and the color without what stands far above its surroundings."""

@@ -92,10 +92,13 @@ class Past:
         With no samples where the past is not known.
     output : (H, W, 4) float32
         The last picture; the fourth channel is not looked at.
+    recalled : (H, W) float32 or None
+        What light and picture weigh, as a share of what the network says; None: all of it.
     """
 
     accumulated: Accumulated
     output: np.ndarray
+    recalled: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,6 +228,12 @@ class _Reconstruction:
         shape = (rows.stop - rows.start, self._size[1] >> level)
         return self._maps[level].weight(place, rows, np.empty(shape, np.float32))
 
+    def _recalled(self, rows: slice) -> np.ndarray | np.float32:
+        """What the past's light and picture weigh."""
+        if self._past is None or self._past.recalled is None:
+            return np.float32(1)
+        return self._past.recalled[rows]
+
     def _filter(
         self,
         level: int,
@@ -306,6 +315,8 @@ class _Reconstruction:
             out[3] = 1
             return
         factor = self._weight(0, self._layout.keep.start + index, rows)
+        if index == 0:
+            factor *= self._recalled(rows)
         before = planes_of(past[rows], out=self._strips.workspace.array("before", out.shape))
         held = np.multiply(factor, before[3], out=before[3])  # what it weighs against this frame
         total = held + 1
@@ -418,7 +429,9 @@ class _Reconstruction:
         for plane, total in zip(self._enlarged[:, rows], light, strict=True):
             cv2.accumulateProduct(plane, alone, total)
         if self._past is not None:
-            keep, leave = _sigmoids(self._weight(0, self._layout.output, rows))
+            odds = self._weight(0, self._layout.output, rows)
+            odds *= self._recalled(rows)
+            keep, leave = _sigmoids(odds)
             unknown = self._past.accumulated.light[rows, :, 3] <= 0
             keep[unknown], leave[unknown] = 0, 1
             light *= leave

@@ -36,7 +36,7 @@ from stillray.model_spec.decoders import PyramidKernels
 from stillray.model_spec.loader import ModelSpec
 from stillray.model_spec.networks import PyramidNetwork
 from stillray.models.steps import InSteps, Output
-from stillray.stages.recall import Recall
+from stillray.stages.recall import Compared, Recall
 from stillray.stages.state import Filterable, Prepared
 from stillray.timing import timed
 
@@ -117,8 +117,9 @@ class KernelPyramidModel(TemporalKernels):
         recall = Recall(
             power=options.recall_power, limit=options.recall_noise, counts=prepared.counts
         )
-        exposure = prepared.history.exposure
-        share = recall.share(previous, color, exposure, context.strips, context.workspace)
+        worth = None if prepared.sample is None else prepared.sample[3]
+        seen = Compared(previous, previous, color, prepared.history.exposure, worth)
+        share = recall.share(seen, context.strips, context.workspace)
         return replace(prepared, recalled=share)
 
     def reconstruct(

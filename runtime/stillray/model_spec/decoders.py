@@ -14,6 +14,7 @@ _MAX_KERNELS = 16
 _MAX_WINDOW = 127  # pixels of a reconstruction kernel
 _MAX_FILTER_FEATURES = 32
 _MOST_TONE = 1000.0
+_MOST_NOISE = 100.0
 #: Views of a frame, of which each costs a run of the network.
 MOST_ENSEMBLE = 4
 
@@ -125,7 +126,7 @@ class PyramidKernels(Decoder):
         within("decoder.resolve_tone", self.resolve_tone, 0, _MOST_TONE)
         within("decoder.recall_power", self.recall_power, 0, 1)
         if self.recall_noise:
-            within("decoder.recall_noise", self.recall_noise, 1, 100)
+            within("decoder.recall_noise", self.recall_noise, 1, _MOST_NOISE)
         each("decoder.finest_neighbours", self.finest_neighbours, 1, _MAX_WINDOW // 2)
         each("decoder.finest_filters", self.finest_filters, 1, _MAX_WINDOW // 2)
         each("decoder.albedo_filters", self.albedo_filters, 1, _MAX_WINDOW // 2)
@@ -190,9 +191,15 @@ class FeatureFilters(Decoder):
     # In the filters that denoise a pixel weighs 1 / (1 + tone x) of what the network says, x being
     # how far the exposed luminance of its light is above 1; 0: all of it.
     filter_tone: float = 0.0
+    # What is accumulated and the last output weigh less of what the network says where the last
+    # output differs from the frame's sample by more than so many times the noise of the frame, see
+    # `stillray.stages.recall`; [1, 100], 0: all of it.
+    recall_noise: float = 0.0
 
     def __post_init__(self) -> None:
         within("decoder.scale", self.scale, 1, 2)
+        if self.recall_noise:
+            within("decoder.recall_noise", self.recall_noise, 1, _MOST_NOISE)
         within("decoder.filter_tone", self.filter_tone, 0, _MOST_TONE)
         each("decoder.coarsest_filters", self.coarsest_filters, 1, _MAX_WINDOW // 2)
         within("decoder.features", self.features, 1, _MAX_FILTER_FEATURES)

@@ -35,6 +35,31 @@ USUAL_NOISE = 0.4
 _BRIGHTEST = np.float32(1e30)  # exposed, of what is compared: ratios of two such are numbers
 
 
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """What is compared, pixel by pixel.
+
+    Attributes
+    ----------
+    output : (h, w, 3 or 4) float32
+        The last output at these pixels: radiance, finite and >= 0.
+    known : (h, w, 4) float32
+        Its last channel is above 0 where there is a last output; may be ``output``.
+    color : (h, w, 3) float32
+        Radiance of this frame, finite and >= 0.
+    exposure
+        1 / radiance.
+    worth : (h, w) float32 or None
+        What this frame's samples weigh, > 0, above 1 as 1: a firefly is no news; None: 1.
+    """
+
+    output: np.ndarray
+    known: np.ndarray
+    color: np.ndarray
+    exposure: float
+    worth: np.ndarray | None = None
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recall:
     """By what a frame takes of the last output.
@@ -51,30 +76,20 @@ class Recall:
     limit: float
     counts: SampleCounts
 
-    def share(
-        self,
-        previous: np.ndarray,
-        color: np.ndarray,
-        exposure: float,
-        strips: Strips,
-        workspace: Workspace,
-    ) -> np.ndarray:
+    def share(self, seen: Compared, strips: Strips, workspace: Workspace) -> np.ndarray:
         """What the last output weighs in a picture, as a share of what a network says.
 
         With ``a = |log((p + DARK) / (s + DARK))|`` of the exposed luminance of the last output
         ``p`` and of this frame's sample ``s``, and the noise ``n`` around, see `_noise`, that is
-        ``1 / (1 + x^2)``, ``x = max(a / (n (1 + TAIL n)) - limit, 0)``, times what the past weighs
-        beside the frame's samples, see `SampleCounts.past_weight`. Where nobody told those,
-        ``n / USUAL_NOISE`` stands for that, up to 1.
+        ``1 / (1 + x^2)``, ``x = max(a / (n (1 + TAIL n)) - limit, 0)``, or nearer to 1 where the
+        sample is worth less, times what the past weighs beside the frame's samples, see
+        `SampleCounts.past_weight`. Where nobody told those, ``n / USUAL_NOISE`` stands for that,
+        up to 1.
 
         Parameters
         ----------
-        previous : (h, w, 4) float32
-            The last output at these pixels, and how much of it is valid.
-        color : (h, w, 3) float32
-            Radiance of this frame, finite and >= 0.
-        exposure
-            1 / radiance.
+        seen
+            The last output and the frame.
         strips
             Where the work runs.
         workspace
@@ -85,9 +100,9 @@ class Recall:
         (h, w) float32
             In [0, 1].
         """
-        height, width = previous.shape[:2]
+        height, width = seen.color.shape[:2]
         share = workspace.array("recalled share", (height, width))
-        noise = _noise(previous, color, exposure, share, strips, workspace)
+        noise = _noise(seen, share, strips, workspace)
         strips.watch.look()
         reach = noise + np.float32(TAIL) * np.square(noise)
         of_noise = _by_pixel(reach, workspace.array("reach of noise", _whole(reach)))
@@ -104,6 +119,10 @@ class Recall:
             np.square(kept, out=kept)
             kept += 1
             np.reciprocal(kept, out=kept)
+            if seen.worth is not None:  # 1 - worth (1 - kept)
+                kept -= 1
+                kept *= at_most(seen.worth[rows], 1)
+                kept += 1
             if weight is not None:
                 kept *= weight[rows, :width]
             told = self.counts.past_weight(self.power, rows)
@@ -114,14 +133,7 @@ class Recall:
         return share
 
 
-def _noise(
-    previous: np.ndarray,
-    color: np.ndarray,
-    exposure: float,
-    apart: np.ndarray,
-    strips: Strips,
-    workspace: Workspace,
-) -> np.ndarray:
+def _noise(seen: Compared, apart: np.ndarray, strips: Strips, workspace: Workspace) -> np.ndarray:
     """The noise of blocks of 16x16 pixels, ``(rows, columns)``; fills what pixels differ by.
 
     Noise is the geometric mean of what differs at all, and is in the frame: what moved is little
@@ -134,8 +146,8 @@ def _noise(
 
     def compare(blocks: slice) -> None:
         some = slice(BLOCK * blocks.start, min(BLOCK * blocks.stop, height))
-        _compare(previous[some], color[some], exposure, apart[some], strips.workspace)
-        _add_up(apart[some], previous[some], sums[:, blocks], strips.workspace)
+        _compare(seen, some, apart[some], strips.workspace)
+        _add_up(apart[some], seen.known[some], sums[:, blocks], strips.workspace)
 
     strips.run(compare, rows, columns, pixels=STRIP_PIXELS // BLOCK**2)
     counted, total = (float(plane.sum(dtype=np.float64)) for plane in sums)
@@ -148,17 +160,11 @@ def _noise(
     return noise
 
 
-def _compare(
-    previous: np.ndarray,
-    color: np.ndarray,
-    exposure: float,
-    out: np.ndarray,
-    workspace: Workspace,
-) -> None:
-    """Logarithms of how many times one light is the other, ``(h, w)``, 0 or more."""
-    scale, dark = np.float32(exposure), np.float32(DARK)
-    last, own = luminance(previous, out=out), workspace.array("own", out.shape)
-    luminance(color, out=own)
+def _compare(seen: Compared, rows: slice, out: np.ndarray, workspace: Workspace) -> None:
+    """Logarithms of how many times one light is the other, of some rows, 0 or more."""
+    scale, dark = np.float32(seen.exposure), np.float32(DARK)
+    last, own = luminance(seen.output[rows], out=out), workspace.array("own", out.shape)
+    luminance(seen.color[rows], out=own)
     with np.errstate(over="ignore"):
         for light in (last, own):
             light *= scale
@@ -169,9 +175,7 @@ def _compare(
     np.abs(out, out=out)
 
 
-def _add_up(
-    apart: np.ndarray, previous: np.ndarray, sums: np.ndarray, workspace: Workspace
-) -> None:
+def _add_up(apart: np.ndarray, known: np.ndarray, sums: np.ndarray, workspace: Workspace) -> None:
     """Means over blocks ``(2, rows, columns)`` of what says something, and of its logarithm."""
     shape = (BLOCK * sums.shape[1], BLOCK * sums.shape[2])
     told, logarithm = workspace.array("told", (2, *shape))
@@ -181,9 +185,9 @@ def _add_up(
         logarithm.fill(0)
     here = told[inside]
     np.greater(apart, LEAST_APART, out=here, casting="unsafe")
-    valid = cv2.extractChannel(previous, 3, dst=workspace.array("valid", apart.shape))
-    here *= valid
-    np.log(at_least(apart, LEAST_APART, out=valid), out=logarithm[inside])
+    temporary = cv2.extractChannel(known, 3, dst=workspace.array("known", apart.shape))
+    here *= temporary > 0
+    np.log(at_least(apart, LEAST_APART, out=temporary), out=logarithm[inside])
     logarithm[inside] *= here
     size = sums.shape[2], sums.shape[1]
     for plane, target in zip((told, logarithm), sums, strict=True):

@@ -298,7 +298,7 @@ def test_as_much_of_the_last_output_is_recalled(size, samples, rng):
     light = rng.uniform(0.2, 2, (*size, 3)).astype(np.float32)
     color = light * np.exp(0.2 * rng.normal(size=(*size, 1))).astype(np.float32)
     color[rng.random(size) < 0.1] *= 20
-    valid = (rng.random(size) < 0.9).astype(np.float32)
+    valid = (rng.random(size) < 0.9) * rng.random(size, np.float32)
     previous = np.dstack([light, valid])
     given = torch.full((1, 1, *size), -1.0)
     if samples == "by pixel":
@@ -312,10 +312,12 @@ def test_as_much_of_the_last_output_is_recalled(size, samples, rng):
         limit=options.recall_noise,
         counts=RuntimeCounts.of(samples, None),
     )
-    wanted = own.share(previous, color, 0.7, Strips(1), Workspace())
+    worth = rng.uniform(0.1, 1.5, size).astype(np.float32)
+    seen = runtime_recall.Compared(previous, previous, color, 0.7, worth)
+    wanted = own.share(seen, Strips(1), Workspace())
     counts = accumulation.SampleCounts(given, scalar(0))
     lights = tuple(planes(features.luminance(each)) for each in (light, color))
-    got = recall.recalled_share(lights, planes(valid), scalar(0.7), counts, options)
+    got = recall.recalled_share(lights, planes(worth), planes(valid), scalar(0.7), counts, options)
     np.testing.assert_allclose(image(got), wanted, rtol=2e-4, atol=1e-6)
 
 
