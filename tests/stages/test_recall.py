@@ -26,8 +26,6 @@ from stillray.stages.recall import (
 from stillray.stages.sample_counts import SampleCounts
 from tests.conftest import make_frame
 
-REC709 = np.array([0.2126, 0.7152, 0.0722])
-
 
 def recall(samples=None, power=0.5, limit=2.5):
     return Recall(power=power, limit=limit, counts=SampleCounts.of(samples, None))
@@ -68,8 +66,8 @@ def by_loops(previous, color, exposure, worth, samples, power, limit):
     """The share in float64: differences, noise of windows and of the frame, by the docstring."""
     previous, color = previous.astype(np.float64), color.astype(np.float64)
     height, width = color.shape[:2]
-    last, own = previous[..., :3] @ REC709 * exposure, color @ REC709 * exposure
-    apart = np.abs(np.log((last + DARK) / (own + DARK)))
+    last, own = previous[..., :3] * exposure, color * exposure
+    apart = np.abs(np.log((last + DARK) / (own + DARK))).mean(-1)
     told = (apart > LEAST_APART) & (previous[..., 3] > 0)
     logarithm = told * np.log(np.maximum(apart, LEAST_APART))
     rows, columns = -(-height // BLOCK), -(-width // BLOCK)
@@ -124,6 +122,13 @@ def test_where_there_is_little_noise_a_pixel_of_another_light_is_the_frames_own(
         assert got[30:33, 40].max() < most
         assert np.median(got) == 1
         assert got.mean() > 0.97
+
+
+def test_a_pixel_of_another_color_is_the_frames_own(rng):
+    previous, color = noisy(rng, (64, 64), 0.02)
+    own = previous[30:33, 40, :3] @ [0.2126, 0.7152, 0.0722]
+    color[30:33, 40] = own[:, None] * np.float32([2.5, 0.6, 0.2])  # of nearly the same luminance
+    assert share(previous, color, samples=1)[30:33, 40].max() < 0.05
 
 
 def test_a_firefly_is_no_news(rng):

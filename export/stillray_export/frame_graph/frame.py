@@ -226,7 +226,9 @@ class FrameGraph(nn.Module):
             filter_spread=frame.filter_spread,
         )
         if self.options.recall_noise:
-            prepared = replace(prepared, recalled=self._recalled(prepared, worth, counts))
+            prepared = replace(
+                prepared, recalled=self._recalled(prepared, frame.color, worth, counts)
+            )
         numbers = torch.stack(
             [final, exposure * frame.moves, noise.frames * frame.moves, counts.mean, frames]
         )
@@ -341,10 +343,12 @@ class FrameGraph(nn.Module):
         gain = rare_light_gain(picture, frame.radiance, exposure)
         return image * gain, picture * gain
 
-    def _recalled(self, frame: Prepared, worth: Tensor, counts: SampleCounts) -> Tensor:
+    def _recalled(
+        self, frame: Prepared, color: Tensor, worth: Tensor, counts: SampleCounts
+    ) -> Tensor:
         """What the last output weighs in the picture, see `stillray.stages.recall`."""
-        lights = luminance(frame.previous), frame.radiance
         exposure = self._exposure(frame)
+        lights = frame.previous, color
         return recalled_share(lights, worth, frame.valid, exposure, counts, self.options)
 
     def _relief(self, frame: Prepared, image: Tensor) -> Tensor:

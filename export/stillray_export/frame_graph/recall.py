@@ -128,8 +128,8 @@ def recalled_share(
 
     Parameters
     ----------
-    lights : (1, 1, h, w) each
-        Luminance of the last output and of this frame.
+    lights : (1, 3, h, w) each
+        Radiance of the last output and of this frame.
     worth : (1, 1, h, w)
         What this frame's samples weigh.
     valid : (1, 1, h, w)
@@ -149,7 +149,7 @@ def recalled_share(
     last, own = (
         (light * exposure).clamp(max=float(stage._BRIGHTEST)) + stage.DARK for light in lights
     )
-    apart = (last / own).log().abs()
+    apart = (last / own).log().abs().mean(1, keepdim=True)
     noise = _noise(apart, valid)
     reach = enlarged(noise + stage.TAIL * noise.square(), stage.BLOCK, height, width)
     beyond = (apart / reach - options.recall_noise).clamp(min=0).square()

@@ -17,7 +17,6 @@ import numpy as np
 from stillray.arrays.bounds import at_least, at_most
 from stillray.arrays.strips import STRIP_PIXELS, Strips
 from stillray.arrays.workspace import Workspace
-from stillray.stages.features import luminance
 from stillray.stages.sample_counts import SampleCounts
 
 BLOCK = 16  # pixels, of which noise is measured together; windows are 3x3 blocks
@@ -33,6 +32,7 @@ TAIL = 4.0
 #: Noise at which a frame that does not tell its samples is taken to have few of them.
 USUAL_NOISE = 0.4
 _BRIGHTEST = np.float32(1e30)  # exposed, of what is compared: ratios of two such are numbers
+_MEAN = np.full((1, 3), 1 / 3, np.float32)  # of channels
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +79,9 @@ class Recall:
     def share(self, seen: Compared, strips: Strips, workspace: Workspace) -> np.ndarray:
         """What the last output weighs in a picture, as a share of what a network says.
 
-        With ``a = |log((p + DARK) / (s + DARK))|`` of the exposed luminance of the last output
-        ``p`` and of this frame's sample ``s``, and the noise ``n`` around, see `_noise`, that is
-        ``1 / (1 + x^2)``, ``x = max(a / (n (1 + TAIL n)) - limit, 0)``, or nearer to 1 where the
+        With ``a`` the mean over channels of ``|log((p + DARK) / (s + DARK))|``, of the exposed last
+        output ``p`` and this frame's sample ``s``, and the noise ``n`` around, see `_noise`: that
+        is ``1 / (1 + x^2)``, ``x = max(a / (n (1 + TAIL n)) - limit, 0)``, or nearer to 1 where the
         sample is worth less, times what the past weighs beside the frame's samples, see
         `SampleCounts.past_weight`. Where nobody told those, ``n / USUAL_NOISE`` stands for that,
         up to 1.
@@ -161,18 +161,22 @@ def _noise(seen: Compared, apart: np.ndarray, strips: Strips, workspace: Workspa
 
 
 def _compare(seen: Compared, rows: slice, out: np.ndarray, workspace: Workspace) -> None:
-    """Logarithms of how many times one light is the other, of some rows, 0 or more."""
+    """How many times one light is the other, as a logarithm: of some rows, means of channels."""
     scale, dark = np.float32(seen.exposure), np.float32(DARK)
-    last, own = luminance(seen.output[rows], out=out), workspace.array("own", out.shape)
-    luminance(seen.color[rows], out=own)
+    shape = seen.color[rows].shape
+    last, own = workspace.array("last light", shape), workspace.array("own light", shape)
+    given = seen.output[rows]
+    if given.shape[2] == 4:
+        given = cv2.cvtColor(given, cv2.COLOR_RGBA2RGB, dst=last)
     with np.errstate(over="ignore"):
-        for light in (last, own):
-            light *= scale
-            at_most(light, _BRIGHTEST, out=light)
-            light += dark
-    out /= own
-    np.log(out, out=out)
-    np.abs(out, out=out)
+        for light, exposed in ((given, last), (seen.color[rows], own)):
+            np.multiply(light, scale, out=exposed)
+            at_most(exposed, _BRIGHTEST, out=exposed)
+            exposed += dark
+    last /= own
+    np.log(last, out=last)
+    np.abs(last, out=last)
+    cv2.transform(last, _MEAN, dst=out)
 
 
 def _add_up(apart: np.ndarray, known: np.ndarray, sums: np.ndarray, workspace: Workspace) -> None:

@@ -316,7 +316,7 @@ def test_as_much_of_the_last_output_is_recalled(size, samples, rng):
     seen = runtime_recall.Compared(previous, previous, color, 0.7, worth)
     wanted = own.share(seen, Strips(1), Workspace())
     counts = accumulation.SampleCounts(given, scalar(0))
-    lights = tuple(planes(features.luminance(each)) for each in (light, color))
+    lights = planes(light), planes(color)
     got = recall.recalled_share(lights, planes(worth), planes(valid), scalar(0.7), counts, options)
     np.testing.assert_allclose(image(got), wanted, rtol=2e-4, atol=1e-6)
 
