@@ -129,6 +129,9 @@ class Runtime:
         self.spec, self._strips = spec, strips
         name = spec.prefilter.albedo
         self._prefilter = Prefilter(name, 1, None, "float32") if name else None
+        self._rules = (0.0, 0.0)  # power and limit of `stillray.stages.recall`; 0: there is none
+        if isinstance(spec.decoder, PyramidKernels):
+            self._rules = spec.decoder.recall_power, spec.decoder.recall_noise
 
     def close(self) -> None:
         """Close the network of its prefilter, if it has one."""
@@ -162,13 +165,9 @@ class Runtime:
         ``color`` ``(h, w, 3)`` is the frame's, of so many samples a pixel.
         """
         share: np.ndarray | None = None
-        options = self.spec.decoder
-        if isinstance(options, PyramidKernels) and options.recall_noise:
-            recall = Recall(
-                power=options.recall_power,
-                limit=options.recall_noise,
-                counts=SampleCounts(mean=samples),
-            )
+        power, limit = self._rules
+        if limit:
+            recall = Recall(power=power, limit=limit, counts=SampleCounts(mean=samples))
             own = np.maximum(color, np.float32(0))
             worth = np.ascontiguousarray(example.sample[..., 3])
             seen = Compared(previous, previous, own, example.exposure, worth)

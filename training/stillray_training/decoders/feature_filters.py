@@ -41,6 +41,9 @@ class Remembered:
     noises
         Of the samples of each patch, see `stillray_training.upscaling.agreement`; None where
         nothing was compared yet.
+    recalled : (n, 1, h, w) or None
+        What light and picture weigh, as a share of what the network says, see
+        `stillray.stages.recall`; None: all of it.
     """
 
     light: Tensor
@@ -48,6 +51,7 @@ class Remembered:
     specular: Tensor
     output: Tensor
     noises: tuple[Noise | None, ...] | None = field(default=None, kw_only=True)
+    recalled: Tensor | None = field(default=None, kw_only=True)
 
 
 def reconstruct(
@@ -81,9 +85,13 @@ def reconstruct(
     keep = finest[:, layout.keep].split(1, 1)
     new = (enlarged, *guides.split(3, 1))
     before = (past.light, past.albedo, past.specular)
+    odds = [each.exp() for each in keep]
+    picture = finest[:, layout.output : layout.output + 1].exp()
+    if past.recalled is not None:
+        odds[0], picture = odds[0] * past.recalled, picture * past.recalled
     light, albedo, specular = (
         _accumulated(parts[0], parts[1], parts[2], rules.max_samples)
-        for parts in zip(new, before, keep, strict=True)
+        for parts in zip(new, before, odds, strict=True)
     )
     by = divisor(albedo[:, :3], rules.demodulate)
     by_specular = divisor(specular[:, :3], rules.demodulate)
@@ -115,7 +123,7 @@ def reconstruct(
     image = diffuse * planes[:, :3] * by + glossy * planes[:, 3:6] * by_specular
     image = image + plain * planes[:, 6:] + alone * enlarged
     known = (past.light[:, 3:] > 0).to(image.dtype)
-    held = finest[:, layout.output : layout.output + 1].sigmoid() * known
+    held = picture / (1 + picture) * known
     image = image * (1 - held) + held * past.output[:, :3]
     return image, (light, albedo, specular)
 
@@ -133,8 +141,7 @@ def _filtered(
     return gaussian(values, maps[:, planes.features], weight, weight, distance)
 
 
-def _accumulated(new: Tensor, past: Tensor, keep: Tensor, most: float) -> Tensor:
-    factor = keep.exp()
+def _accumulated(new: Tensor, past: Tensor, factor: Tensor, most: float) -> Tensor:
     held = factor * past[:, 3:]
     total = held + 1
     mean = (held * past[:, :3] + new) / total

@@ -8,13 +8,17 @@ noticed here.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from stillray.arrays.strips import Strips
+from stillray.arrays.workspace import Workspace
 from stillray.families.past_agreement import LEAST_SHARE, Shown, agreement
+from stillray.stages.recall import Compared, Recall
+from stillray.stages.sample_counts import SampleCounts
 from stillray_training.decoders.feature_filters import Remembered
 
 _LINES = ("rows", "columns")
@@ -61,6 +65,30 @@ def reject_history(past: Remembered, frame: Mapping[str, Tensor], scale: int) ->
     )
     light = torch.cat([light[:, :3], light[:, 3:] * kept], 1)
     return Remembered(light, albedo, specular, output, noises=tuple(after))
+
+
+def recalling(past: Remembered, frame: Mapping[str, Tensor], limit: float) -> Remembered:
+    """Pasts that say what they weigh beside frames, see `stillray.stages.recall`.
+
+    Parameters
+    ----------
+    past
+        At the pixels of the pictures.
+    frame
+        Of `stillray_training.upscaling.clips.ClipSampler`.
+    limit
+        ``recall_noise`` of `stillray.model_spec.decoders.FeatureFilters`.
+    """
+    strips, rule = Strips(1), Recall(power=0.0, limit=limit, counts=SampleCounts())
+    shares = []
+    for output, light, color, exposure in zip(
+        past.output, past.light, frame["color"], frame["exposure"], strict=True
+    ):
+        last, known, own = (_pixels(planes) for planes in (output, light, color))
+        seen = Compared(last, known, own, float(exposure.item()))
+        shares.append(rule.share(seen, strips, Workspace()))
+    recalled = torch.from_numpy(np.stack(shares)[:, None]).to(past.light)
+    return replace(past, recalled=recalled)
 
 
 def _pixels(planes: Tensor) -> np.ndarray:

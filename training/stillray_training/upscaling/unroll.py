@@ -15,7 +15,7 @@ from stillray.families.target_planes import FARTHEST, MOST_LIGHT, MU, PERIODS
 from stillray.stages.reproject import LEAST_BLUR
 from stillray_training.decoders.feature_filters import Enlarged, Remembered, reconstruct
 from stillray_training.decoders.luminance import luminance
-from stillray_training.upscaling.agreement import reject_history
+from stillray_training.upscaling.agreement import recalling, reject_history
 
 
 def step(
@@ -69,6 +69,8 @@ def step(
             )
             past = replace(past, light=light, albedo=albedo, specular=specular)
         past = reject_history(past, frame, rules.filters.scale)
+        if rules.filters.recall_noise:
+            past = recalling(past, frame, rules.filters.recall_noise)
     planes = network_planes(frame, past, names)
     outputs = network(planes)
     given = Enlarged(frame["color"], frame["albedo"], frame["specular"], frame["exposure"])
