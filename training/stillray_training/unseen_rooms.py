@@ -9,6 +9,7 @@ left out or replaced, and said.
 from __future__ import annotations
 
 import json
+import shutil
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -118,6 +119,10 @@ def main(
     out: Annotated[Path, typer.Argument(help="Folder of the frames.")],
     height: Annotated[int, typer.Option(help="Pixels; 16:9.", min=1)] = 270,
     reference_spp: Annotated[int, typer.Option(help="Samples of references.", min=1)] = 2048,
+    samples: Annotated[
+        list[int] | None,
+        typer.Option(help="Sequences of so many samples a pixel, too: into OUT/sequences.", min=2),
+    ] = None,
 ) -> None:
     """Render a sequence of one sample a pixel and stills of each room; resumes after a kill."""
     mi, _ = load_mitsuba(None)
@@ -141,6 +146,11 @@ def main(
             # of another seed: no still is the sequence's frame with more samples
             still = replace(sequence, first=_FRAMES - 1, spp=spp, references=0, seed=spp)
             render_sequence(stage, out / "spp" / room.name / str(spp), still)
+        for spp in samples or ():
+            folder = out / "sequences" / str(spp) / room.name
+            render_sequence(stage, folder, replace(sequence, spp=spp, references=0, seed=spp))
+            for reference in (out / room.name).glob("ref_*.exr"):
+                shutil.copy(reference, folder)
 
 
 if __name__ == "__main__":
