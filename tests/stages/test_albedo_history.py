@@ -9,12 +9,13 @@ import stillray
 from stillray.arrays.strips import Strips
 from stillray.frame import Frame
 from stillray.model_spec import load
-from stillray.stages import albedo_history
+from stillray.stages import albedo_history, demodulate
 from stillray.stages.reproject import positions_of
 from tests import oracles
 from tests.conftest import remembered
 
-OPTIONS = load("wskp-3s").temporal
+SPEC = load("wskp-3s")
+OPTIONS = SPEC.temporal
 
 
 def accumulate(albedo, past, positions=None, threads=1, samples=OPTIONS.albedo_samples):
@@ -150,6 +151,23 @@ def test_stairs_of_an_edge_are_smoothed_by_jittered_frames():
             image = denoiser.denoise(frame)
     error = np.abs(image[..., 0] / 0.5 - wanted).mean()
     assert error < 0.4 * np.abs(alone - wanted).mean()
+
+
+@pytest.mark.parametrize(("samples", "frames"), [(None, 4), (1, 4), (2, 4), (16, 0.5), (64, 0.125)])
+def test_frames_of_many_samples_need_less_of_an_albedos_past(samples, frames):
+    """What a thing has uncovered is soon itself: a past that counts as 4 frames of few samples."""
+    still, shape = np.zeros((12, 16, 2), np.float32), (12, 16, 3)
+    color = np.full(shape, 0.3, np.float32)
+    before, after = (np.full(shape, albedo, np.float32) for albedo in (0.2, 0.4))
+    after[::2] = 0.2  # so that the past is within the range of the pixels around
+    with stillray.Denoiser("wskp-3s") as denoiser:
+        for albedo in [before] * 6 + [after]:
+            frame = Frame(color=color, albedo=albedo, motion=still, samples=samples)
+            denoiser.denoise(frame)
+        mean = denoiser.state.temporal.mean_albedo[1, 8, 0]
+    divisors = demodulate.demodulation_albedo(after, SPEC.demodulate)[:2, 8, 0]
+    old, new = map(float, divisors)
+    np.testing.assert_allclose(mean, (frames * old + new) / (frames + 1), rtol=1e-4)
 
 
 def test_without_motion_or_albedo_or_a_past_it_is_not_run(rng):

@@ -75,6 +75,12 @@ class SampleCounts:
         self.past_scale = torch.where(known, scale, 1.0)
         self.told = torch.where(self.mean > 0, self.mean, 1.0)
 
+    def albedo_frames(self, most: float) -> Tensor:
+        """Frames that an albedo's past counts as, of ``most``, a scalar."""
+        from stillray.stages.sample_counts import FEW_SAMPLES
+
+        return most / (self.mean / FEW_SAMPLES).clamp(min=1)
+
     def past_weight(self, power: float) -> Tensor:
         """What a past weighs beside each pixel's samples, ``(1, 1, h, w)``; 1 where nobody said."""
         from stillray.stages.sample_counts import FEW_SAMPLES

@@ -14,7 +14,7 @@ _WHOLE = 1 - 1e-3
 
 
 def accumulate_albedo(
-    divisor: Tensor, past_nhwc: Tensor, places: Tensor, held: Tensor, most: float
+    divisor: Tensor, past_nhwc: Tensor, places: Tensor, held: Tensor, most: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """What the result is multiplied by, what is remembered, and the frames that it holds.
 
@@ -29,7 +29,7 @@ def accumulate_albedo(
     held
         Frames that the past holds, scalar; 0 for none.
     most
-        That it is worth at most.
+        That it is worth at most, scalar.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def accumulate_albedo(
     frames
         Scalar.
     """
-    samples = held.clamp(max=most)
+    samples = torch.minimum(held, most)
     share = samples / (samples + 1)
     taps = linear_taps(places, divisor)
     inside = sum(tap.weight * tap.inside for tap in taps)

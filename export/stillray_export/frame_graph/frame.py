@@ -271,7 +271,7 @@ class FrameGraph(nn.Module):
         """What the result is multiplied by, what is remembered of it, and of how many frames."""
         if past.albedo is None:
             return by, None, past.numbers[4] * 0
-        most = self.spec.temporal.albedo_samples
+        most = frame.counts.albedo_frames(self.spec.temporal.albedo_samples)
         held = past.numbers[4] * frame.moves
         modulator, mean, frames = accumulate_albedo(by, past.albedo, places, held, most)
         given = (frame.albedo.amax() >= 0).to(torch.float32)

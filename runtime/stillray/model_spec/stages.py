@@ -80,7 +80,7 @@ class Temporal:
     normal_cosine: float  # a tap is accepted when its normal agrees at least so much, [-1, 1]
     depth_ratio: float  # and its depth differs at most by this share, > 0
     # samples that the albedo's past counts as at most, where the result is multiplied by it, >= 0;
-    # 0: by this frame's alone
+    # 0: by this frame's alone; fewer where a frame tells more than 2 samples, in proportion
     albedo_samples: float
     # Standard deviations that a pixel may stand above the 3x3 pixels around it before it is given
     # their median, >= 0; 0: nothing is removed. Models that were exported before it was known lack

@@ -65,7 +65,7 @@ def prepare_planned(plan: TemporalPlan, means: Means) -> Prepared:
         with timed(means.timings, "accumulate"):
             local_luminance(pixels.accumulated, exposed.exposure, exposed.local, means)
     remodulation_albedo, mean_albedo, frames = _albedo_history(
-        plan, exposed, pixels.positions, means
+        plan, exposed, pixels.positions, pixels.counts, means
     )
     return Prepared(
         history=History(
@@ -375,7 +375,11 @@ def discontinuities(packed: np.ndarray, strips: Strips, workspace: Workspace) ->
 
 
 def _albedo_history(
-    plan: TemporalPlan, exposed: Exposed, positions: np.ndarray | None, means: Means
+    plan: TemporalPlan,
+    exposed: Exposed,
+    positions: np.ndarray | None,
+    counts: SampleCounts,
+    means: Means,
 ) -> tuple[np.ndarray | None, np.ndarray | None, float]:
     """What the result is multiplied by, what the next frame gets of it, and of how many frames."""
     now, options = exposed.demodulation_albedo, means.spec.temporal
@@ -394,7 +398,8 @@ def _albedo_history(
         means.strips.run(begin, *plan.shape)
         return now, next_albedo, 1.0
     with timed(means.timings, "accumulate_albedo"):
-        samples = min(plan.past.mean_albedo_frames, options.albedo_samples)
+        most = counts.albedo_frames(options.albedo_samples)
+        samples = min(plan.past.mean_albedo_frames, most)
         remodulation_albedo = means.workspace.array("remodulation_albedo", now.shape)
         albedo_history.accumulate(
             now,

@@ -20,7 +20,8 @@ from stillray.arrays.strips import Strips
 #: Share of the mean's samples that a pixel counts as at least, if it has any: float32 holds what
 #: is divided by it, and what is filled in still weighs less.
 LEAST_SHARE = 1e-3
-#: Samples a pixel up to which a last output weighs as much as the network says.
+#: Samples a pixel up to which a last output weighs as much as the network says, and a past of the
+#: albedo as much as the specification.
 FEW_SAMPLES = 2.0
 MOST_SCALE = 1e6  # a change of samples between frames beyond which a past is all or nothing
 
@@ -103,6 +104,10 @@ class SampleCounts:
         times = np.maximum(self.share[rows] * np.float32(self.mean / FEW_SAMPLES), np.float32(1))
         weight: np.ndarray = times ** np.float32(-power)
         return weight
+
+    def albedo_frames(self, most: float) -> float:
+        """Frames that an albedo's past counts as, of ``most``: of many samples it needs none."""
+        return most if self.mean is None else most / max(self.mean / FEW_SAMPLES, 1.0)
 
     def held_by_pixel(self, held: np.ndarray, rows: slice) -> None:
         """Bring what the past holds, ``(h, w)`` of some rows, to frames like its pixels."""

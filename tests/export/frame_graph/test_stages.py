@@ -412,7 +412,7 @@ def test_albedo_is_accumulated(size, held):
     else:
         albedo_history.begin(now, remembered)
     got, mean, frames = albedo.accumulate_albedo(
-        planes(now), torch.from_numpy(past[..., :3]), planes(places), scalar(held), 2.0
+        planes(now), torch.from_numpy(past[..., :3]), planes(places), scalar(held), scalar(2)
     )
     np.testing.assert_allclose(image(got), modulator, atol=1e-5)
     np.testing.assert_allclose(image(mean), remembered[..., :3], atol=1e-5)
