@@ -3,7 +3,8 @@
 Rounded weights shift what a convolution gives, by as much for all pixels that are given alike:
 three quarters of a network's error may be such shifts, and they grow from layer to layer. What they
 are over some frames is taken off the biases, layer by layer (Nagel et al. 2019, section 4.2, with
-frames in place of what normalisation tells).
+frames in place of what normalisation tells): the median of what single frames say, since one of
+sixty whose greatest values are beyond the scales once cost a network .8 dB of all others.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ def correct_biases(
         if name not in tensors:
             continue
         (found,) = _means(integers, features, [node.output[0]])
-        steps = (found - means[weight]) / numpy_helper.to_array(tensors[f"{name}_scale"])
+        shift = np.median(found - means[weight], axis=0)
+        steps = shift / numpy_helper.to_array(tensors[f"{name}_scale"])
         bias = numpy_helper.to_array(tensors[name]).astype(np.float64)
         bounds = np.iinfo(np.int32)
         moved = np.clip(np.rint(bias - steps), bounds.min, bounds.max).astype(np.int32)
@@ -62,7 +64,7 @@ def _convolutions(graph: onnx.GraphProto) -> dict[str, onnx.NodeProto]:
 def _means(
     model: onnx.ModelProto, features: Sequence[np.ndarray], outputs: Sequence[str]
 ) -> list[np.ndarray]:
-    """Means over all frames of the planes of what nodes give."""
+    """Means of the planes of what nodes give, ``(frames, planes)`` each."""
     opened = onnx.ModelProto()
     opened.CopyFrom(model)
     del opened.graph.output[:]
@@ -77,11 +79,8 @@ def _means(
     options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
     options.log_severity_level = 4
     session = ort.InferenceSession(opened.SerializeToString(), options)
-    sums = [np.zeros(()) for _ in outputs]
-    for planes in features:
-        found = session.run(None, {"features": planes})
-        sums = [
-            total + each.mean((0, 2, 3), dtype=np.float64)
-            for total, each in zip(sums, found, strict=True)
-        ]
-    return [total / len(features) for total in sums]
+    found = [
+        [each.mean((0, 2, 3), dtype=np.float64) for each in session.run(None, {"features": planes})]
+        for planes in features
+    ]
+    return [np.stack(of_output) for of_output in zip(*found, strict=True)]

@@ -76,15 +76,24 @@ def shifts(floats, integers, features):
     return np.abs((found - wanted).mean((0, 2, 3))) / wanted.std((0, 2, 3))
 
 
+def frames(rng, count=3):
+    # some planes change little, as a frame's do: rounding their weights shifts all pixels
+    level = np.linspace(0, 1, PLANES).reshape(1, -1, 1, 1)
+    return [(level + 0.1 * rng.random((1, PLANES, 24, 24))).astype("f4") for _ in range(count)]
+
+
+def test_a_frame_beyond_the_scales_shifts_no_others(rng, tmp_path):
+    floats, seen, unseen = network(rng), frames(rng, 5), frames(rng)
+    found = []
+    for more in ([], [40 * seen[0]]):
+        integers = integers_of(floats, seen, tmp_path)
+        correct_biases(floats, integers, [*seen, *more])
+        found.append(shifts(floats, integers, unseen))
+    np.testing.assert_allclose(found[1], found[0], atol=0.05)
+
+
 def test_means_are_those_of_floats_on_frames_that_were_not_seen(rng, tmp_path):
-    floats = network(rng)
-
-    def frames():
-        # some planes change little, as a frame's do: rounding their weights shifts all pixels
-        level = np.linspace(0, 1, PLANES).reshape(1, -1, 1, 1)
-        return [(level + 0.1 * rng.random((1, PLANES, 24, 24))).astype("f4") for _ in range(3)]
-
-    seen, unseen = frames(), frames()
+    floats, seen, unseen = network(rng), frames(rng), frames(rng)
     integers = integers_of(floats, seen, tmp_path)
     before = shifts(floats, integers, unseen)
     correct_biases(floats, integers, seen)
