@@ -90,7 +90,7 @@ def by_loops(previous, color, exposure, worth, samples, power, limit):
     return found * np.maximum(samples / 2, 1) ** -power
 
 
-@pytest.mark.parametrize("samples", [None, 1, 16, "by pixel"])
+@pytest.mark.parametrize("samples", [None, 0.25, 1, 2, 16, "by pixel"])
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (5, 40), (16, 16), (37, 53), (100, 33)])
 def test_the_share_equals_the_loop_oracle(rng, height, width, samples):
     previous, color = noisy(rng, (height, width), 0.2)
@@ -99,7 +99,9 @@ def test_the_share_equals_the_loop_oracle(rng, height, width, samples):
     color[rng.random((height, width)) < 0.05] = 0
     each = samples
     if samples == "by pixel":
-        samples = each = rng.choice(np.float32([0.5, 4, 100]), (height, width))
+        samples = rng.choice(np.float32([0, 0.5, 4, 100]), (height, width))
+        samples[0, 0] = 4
+        each = np.where(samples > 0, samples, samples[samples > 0].mean())  # filled in: as the mean
     worth = rng.uniform(0.1, 1.5, (height, width)).astype(np.float32)
     for power in (0.0, 0.5):
         expected = by_loops(previous, color, 0.7, worth, each, power, 2.5)

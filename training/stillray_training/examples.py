@@ -26,13 +26,12 @@ from stillray.families.contract import Context, Request
 from stillray.families.registry import kernels_of
 from stillray.frame import Frame
 from stillray.model_spec import ModelSpec
-from stillray.model_spec.decoders import PyramidKernels
 from stillray.pipeline.denoiser import Denoiser
 from stillray.pipeline.prefilter import Prefilter
 from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
 from stillray.stages.previous_output import resample
-from stillray.stages.recall import Compared, Recall
+from stillray.stages.recall import Compared
 from stillray.stages.reproject import positions_of
 from stillray.stages.sample_counts import SampleCounts
 from stillray.stages.state import History, Prepared
@@ -129,9 +128,6 @@ class Runtime:
         self.spec, self._strips = spec, strips
         name = spec.prefilter.albedo
         self._prefilter = Prefilter(name, 1, None, "float32") if name else None
-        self._rules = (0.0, 0.0)  # power and limit of `stillray.stages.recall`; 0: there is none
-        if isinstance(spec.decoder, PyramidKernels):
-            self._rules = spec.decoder.recall_power, spec.decoder.recall_noise
 
     def close(self) -> None:
         """Close the network of its prefilter, if it has one."""
@@ -165,9 +161,8 @@ class Runtime:
         ``color`` ``(h, w, 3)`` is the frame's, of so many samples a pixel.
         """
         share: np.ndarray | None = None
-        power, limit = self._rules
-        if limit:
-            recall = Recall(power=power, limit=limit, counts=SampleCounts(mean=samples))
+        recall = kernels_of(self.spec).recall(SampleCounts(mean=samples))
+        if recall is not None:
             own = np.maximum(color, np.float32(0))
             worth = np.ascontiguousarray(example.sample[..., 3])
             seen = Compared(previous, previous, own, example.exposure, worth)

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from stillray.model_spec.stages import Temporal
 from stillray.stages.accumulate import DARK, FIRST_SHARE, MIN_WEIGHT
+from stillray.stages.sample_counts import FEW_SAMPLES, LEAST_SHARE, MOST_SCALE
 
 _HUGE = 1e37
 
@@ -60,8 +61,6 @@ class SampleCounts:
     """
 
     def __init__(self, samples: Tensor, before: Tensor) -> None:
-        from stillray.stages.sample_counts import LEAST_SHARE, MOST_SCALE
-
         sampled = samples > 0
         self.empty = (samples == 0).to(torch.float32)
         some = sampled.to(torch.float32).mean()
@@ -77,12 +76,8 @@ class SampleCounts:
 
     def albedo_frames(self, most: float) -> Tensor:
         """Frames that an albedo's past counts as, of ``most``, a scalar."""
-        from stillray.stages.sample_counts import FEW_SAMPLES
-
         return most / (self.mean / FEW_SAMPLES).clamp(min=1)
 
     def past_weight(self, power: float) -> Tensor:
         """What a past weighs beside each pixel's samples, ``(1, 1, h, w)``; 1 where nobody said."""
-        from stillray.stages.sample_counts import FEW_SAMPLES
-
         return (self.mean * self.share / FEW_SAMPLES).clamp(min=1) ** -power

@@ -43,7 +43,6 @@ from stillray.stages.put_back import put_back
 from stillray.stages.recall import Compared, Recall
 from stillray.stages.repair import Buffers, all_within, repair_feature
 from stillray.stages.reproject import Edges, bound_blur
-from stillray.stages.sample_counts import SampleCounts
 from stillray.stages.sharpening import Sharpening, scale
 from stillray.timing import timed
 
@@ -325,8 +324,9 @@ class FeatureFiltersModel:
         """A past that says what it weighs beside the frame, see `stillray.stages.recall`."""
         light = past.accumulated.light  # without samples where nothing is known
         seen = Compared(past.output, light, frame.color, frame.exposure)
-        recall = Recall(power=0.0, limit=self.rules.filters.recall_noise, counts=SampleCounts())
-        share = recall.share(seen, context.strips, context.workspace)
+        share = Recall(limit=self.rules.filters.recall_noise).share(
+            seen, context.strips, context.workspace
+        )
         return replace(past, recalled=share)
 
     def _exposed(self, plan: UpscalePlan, context: Context) -> tuple[float, np.ndarray]:

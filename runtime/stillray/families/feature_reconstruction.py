@@ -228,11 +228,12 @@ class _Reconstruction:
         shape = (rows.stop - rows.start, self._size[1] >> level)
         return self._maps[level].weight(place, rows, np.empty(shape, np.float32))
 
-    def _recalled(self, rows: slice) -> np.ndarray | np.float32:
-        """What the past's light and picture weigh."""
-        if self._past is None or self._past.recalled is None:
-            return np.float32(1)
-        return self._past.recalled[rows]
+    def _of_past(self, place: int, rows: slice) -> np.ndarray:
+        """The weight that a map gives the past's light or picture, as far as it is recalled."""
+        weight = self._weight(0, place, rows)
+        if self._past is not None and self._past.recalled is not None:
+            weight *= self._past.recalled[rows]
+        return weight
 
     def _filter(
         self,
@@ -314,9 +315,8 @@ class _Reconstruction:
             out[:3] = new
             out[3] = 1
             return
-        factor = self._weight(0, self._layout.keep.start + index, rows)
-        if index == 0:
-            factor *= self._recalled(rows)
+        place = self._layout.keep.start + index
+        factor = self._weight(0, place, rows) if index else self._of_past(place, rows)
         before = planes_of(past[rows], out=self._strips.workspace.array("before", out.shape))
         held = np.multiply(factor, before[3], out=before[3])  # what it weighs against this frame
         total = held + 1
@@ -429,9 +429,7 @@ class _Reconstruction:
         for plane, total in zip(self._enlarged[:, rows], light, strict=True):
             cv2.accumulateProduct(plane, alone, total)
         if self._past is not None:
-            odds = self._weight(0, self._layout.output, rows)
-            odds *= self._recalled(rows)
-            keep, leave = _sigmoids(odds)
+            keep, leave = _sigmoids(self._of_past(self._layout.output, rows))
             unknown = self._past.accumulated.light[rows, :, 3] <= 0
             keep[unknown], leave[unknown] = 0, 1
             light *= leave

@@ -12,7 +12,7 @@ light is invented.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -20,7 +20,6 @@ import numpy as np
 from stillray.arrays.extend import extended
 from stillray.arrays.strips import Strips, planes_of
 from stillray.families.albedo_average import averaged
-from stillray.families.contract import Context
 from stillray.families.cost import kernel_pyramid_cost
 from stillray.families.finest_filters import filter_finest
 from stillray.families.gaussian import share_of_bright
@@ -36,8 +35,9 @@ from stillray.model_spec.decoders import PyramidKernels
 from stillray.model_spec.loader import ModelSpec
 from stillray.model_spec.networks import PyramidNetwork
 from stillray.models.steps import InSteps, Output
-from stillray.stages.recall import Compared, Recall
-from stillray.stages.state import Filterable, Prepared
+from stillray.stages.recall import Recall
+from stillray.stages.sample_counts import SampleCounts
+from stillray.stages.state import Filterable
 from stillray.timing import timed
 
 
@@ -107,20 +107,12 @@ class KernelPyramidModel(TemporalKernels):
         )
         super().__init__(spec, looks)
 
-    def recalling(
-        self, prepared: Prepared, previous: np.ndarray, color: np.ndarray, context: Context
-    ) -> Prepared:
-        """A frame whose samples are compared with the last output, see `TemporalKernels`."""
+    def recall(self, counts: SampleCounts) -> Recall | None:
+        """By what a frame of so many samples takes of the last output, see `TemporalKernels`."""
         options = self._options
         if not options.recall_noise:
-            return prepared
-        recall = Recall(
-            power=options.recall_power, limit=options.recall_noise, counts=prepared.counts
-        )
-        worth = None if prepared.sample is None else prepared.sample[3]
-        seen = Compared(previous, previous, color, prepared.history.exposure, worth)
-        share = recall.share(seen, context.strips, context.workspace)
-        return replace(prepared, recalled=share)
+            return None
+        return Recall(limit=options.recall_noise, power=options.recall_power, counts=counts)
 
     def reconstruct(
         self,

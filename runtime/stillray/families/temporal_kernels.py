@@ -30,6 +30,8 @@ from stillray.stages.means import Means
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.prepare import prepare_planned
 from stillray.stages.put_back import put_back
+from stillray.stages.recall import Compared, Recall
+from stillray.stages.sample_counts import SampleCounts
 from stillray.stages.state import Filterable, History, Prepared, filterable
 from stillray.timing import timed
 
@@ -141,21 +143,9 @@ class TemporalKernels(ABC):
         """
         return outputs
 
-    def recalling(
-        self, prepared: Prepared, previous: np.ndarray, color: np.ndarray, context: Context
-    ) -> Prepared:
-        """A prepared frame that says how much of the last output the picture takes.
-
-        Parameters
-        ----------
-        prepared, previous
-            The frame, and the last output at its pixels.
-        color : (h, w, 3) float32
-            Radiance of the frame.
-        context
-            Where the work runs.
-        """
-        return prepared
+    def recall(self, counts: SampleCounts) -> Recall | None:
+        """By what a frame takes of the last output; None: as the network says."""
+        return None
 
     def wants(self, request: Request) -> Wants:
         """What is wanted of the stages before the network."""
@@ -269,8 +259,13 @@ class TemporalKernels(ABC):
             previous = previous_output.resampled(
                 early.past, prepared, context.strips, context.workspace, sharp=self.looks.sharp
             )
-            if previous is not None:
-                prepared = self.recalling(prepared, previous, early.buffers.color, context)
+            recall = self.recall(prepared.counts)
+            if previous is not None and recall is not None:
+                worth = None if prepared.sample is None else prepared.sample[3]
+                exposure = prepared.history.exposure
+                seen = Compared(previous, previous, early.buffers.color, exposure, worth)
+                share = recall.share(seen, context.strips, context.workspace)
+                prepared = replace(prepared, recalled=share)
         return prepared, previous
 
     def _tiled(

@@ -41,8 +41,9 @@ class Compared:
 
     Attributes
     ----------
-    output : (h, w, 3 or 4) float32
-        The last output at these pixels: radiance, finite and >= 0.
+    output : (h, w, 4) float32
+        The last output at these pixels: radiance, finite and >= 0; its last channel is not looked
+        at.
     known : (h, w, 4) float32
         Its last channel is above 0 where there is a last output; may be ``output``.
     color : (h, w, 3) float32
@@ -66,15 +67,16 @@ class Recall:
 
     Attributes
     ----------
-    power, limit
-        ``recall_power`` and ``recall_noise`` of `stillray.model_spec.decoders.PyramidKernels`.
+    limit, power
+        ``recall_noise``, and ``recall_power`` where there is one, of a decoder's specification,
+        see `stillray.model_spec.decoders`.
     counts
         The frame's samples.
     """
 
-    power: float
     limit: float
-    counts: SampleCounts
+    power: float = 0.0
+    counts: SampleCounts = SampleCounts()  # noqa: RUF009  a value that nobody can change
 
     def share(self, seen: Compared, strips: Strips, workspace: Workspace) -> np.ndarray:
         """What the last output weighs in a picture, as a share of what a network says.
@@ -165,11 +167,9 @@ def _compare(seen: Compared, rows: slice, out: np.ndarray, workspace: Workspace)
     scale, dark = np.float32(seen.exposure), np.float32(DARK)
     shape = seen.color[rows].shape
     last, own = workspace.array("last light", shape), workspace.array("own light", shape)
-    given = seen.output[rows]
-    if given.shape[2] == 4:
-        given = cv2.cvtColor(given, cv2.COLOR_RGBA2RGB, dst=last)
+    cv2.cvtColor(seen.output[rows], cv2.COLOR_RGBA2RGB, dst=last)
     with np.errstate(over="ignore"):
-        for light, exposed in ((given, last), (seen.color[rows], own)):
+        for light, exposed in ((last, last), (seen.color[rows], own)):
             np.multiply(light, scale, out=exposed)
             at_most(exposed, _BRIGHTEST, out=exposed)
             exposed += dark

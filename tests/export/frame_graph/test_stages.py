@@ -302,7 +302,8 @@ def test_as_much_of_the_last_output_is_recalled(size, samples, rng):
     previous = np.dstack([light, valid])
     given = torch.full((1, 1, *size), -1.0)
     if samples == "by pixel":
-        samples = rng.choice(np.float32([0.5, 4, 100]), size)
+        samples = rng.choice(np.float32([0, 0.5, 4, 100]), size)
+        samples[0, 0] = 4
         given = torch.from_numpy(samples)[None, None]
     elif samples is not None:
         given = torch.full((1, 1, *size), samples)

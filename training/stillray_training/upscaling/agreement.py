@@ -18,7 +18,6 @@ from stillray.arrays.strips import Strips
 from stillray.arrays.workspace import Workspace
 from stillray.families.past_agreement import LEAST_SHARE, Shown, agreement
 from stillray.stages.recall import Compared, Recall
-from stillray.stages.sample_counts import SampleCounts
 from stillray_training.decoders.feature_filters import Remembered
 
 _LINES = ("rows", "columns")
@@ -79,8 +78,7 @@ def recalling(past: Remembered, frame: Mapping[str, Tensor], limit: float) -> Re
     limit
         ``recall_noise`` of `stillray.model_spec.decoders.FeatureFilters`.
     """
-    strips, rule = Strips(1), Recall(power=0.0, limit=limit, counts=SampleCounts())
-    shares = []
+    strips, rule, shares = Strips(1), Recall(limit=limit), []
     for output, light, color, exposure in zip(
         past.output, past.light, frame["color"], frame["exposure"], strict=True
     ):
