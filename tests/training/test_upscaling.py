@@ -19,6 +19,7 @@ from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.errors import InputError  # noqa: E402
 from stillray.families.feature_filters import FeatureFiltersModel  # noqa: E402
 from stillray.frame import Frame  # noqa: E402
+from stillray.io.exr.read import read_exr  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray_training import contact_sheets as sheets  # noqa: E402
 from stillray_training.bright_windows import draw_window  # noqa: E402
@@ -219,14 +220,72 @@ def test_fireflies_come_to_frames_and_not_to_references(tmp_path):
     assert {0, 1, 4} <= frames_lit
 
 
-def test_missing_references_and_short_sequences_are_refused(tmp_path):
+def test_what_cannot_be_learned_from_is_refused(tmp_path):
     folder = render(tmp_path / "plane-0-0", frames=2)
     spec = small(frames=3)
     with pytest.raises(InputError, match="must have 3 frames of 8 pixels each way, got 2 of 10"):
         ClipSampler([load_clip(folder, spec, Strips(1))], spec)
     (folder / "ref_0001.exr").unlink()
-    with pytest.raises(InputError, match="every frame must have a reference"):
+    with pytest.raises(InputError, match="the last frame must have a reference"):
         load_clip(folder, spec, Strips(1))
+    with pytest.raises(InputError, match="must have motion, depth, albedo, normal"):
+        load_clip(without(folder, "depth"), spec, Strips(1))
+    folder = without(render(tmp_path / "plane-1-0"), "albedo", of="ref")
+    with pytest.raises(InputError, match=r"must have albedo and the size \(20, 24\) or a multiple"):
+        load_clip(folder, spec, Strips(1))
+
+
+def without(folder, *names, of="frame"):
+    """A folder whose files no longer have some layers."""
+    for path in folder.glob(f"{of}_*.exr"):
+        image = read_exr(path)
+        kept = {name: getattr(image, name) for name in image.given - {*names, "jitter"}}
+        write(path, kept)
+    return folder
+
+
+def unreferenced(folder, frames=4):
+    """A sequence as other models learn from it: the last frame alone has a reference."""
+    render(folder, frames=frames, size=(20, 24), scale=1)
+    for number in range(frames - 1):
+        (folder / f"ref_{number:04d}.exr").unlink()
+    without(folder, "roughness", "specular_albedo")
+    without(folder, "specular_albedo", of="ref")
+    record = {"options": {"spp": 1}, "seed": 3}
+    (folder / RECORD).write_text(json.dumps(record))
+    return folder
+
+
+def test_sequences_with_one_reference_and_few_guides_are_learned_from(tmp_path):
+    spec = small("munet-x1", frames=3, batch=1, drop_feature=0.0)
+    clip = load_clip(unreferenced(tmp_path / "plane-0-0"), spec, Strips(1))
+    assert [reference is None for reference in clip.references] == [True, True, True, False]
+    assert not clip.still
+    for frame in clip.frames:
+        assert not frame.roughness.any()
+        assert not frame.specular_albedo.any()
+        assert not frame.jitter.any()
+    sampler = ClipSampler([clip], spec)
+    for step in range(5):  # the last frame is that with the reference, wherever patches lie
+        batch = sampler.batch(step)
+        assert [float(sample["known"].item()) for sample in batch] == [0, 0, 1]
+        assert batch[2]["wanted"].any()
+    # the others are learned from as what the last remembers, whatever their wanted pictures say
+    network = multi_branch_net(spec)
+    loss = loop.sequence_loss(network, batch, spec)
+    told = [{**sample} for sample in batch]
+    for sample in told[:2]:
+        sample["wanted"], sample["wanted_albedo"] = sample["color"], sample["albedo"]
+    torch.testing.assert_close(loop.sequence_loss(network, told, spec), loss)
+    rules, names = FeatureFiltersModel(spec).rules, spec.network.features
+    before = None
+    for sample in batch:
+        frame = {name: torch.from_numpy(array) for name, array in sample.items()}
+        image, before, _ = unroll.step(network, frame, before, names, rules)
+    alone = loop.frame_loss(image, before, frame, spec.training)
+    torch.testing.assert_close(loss, alone.mean())
+    batch[0]["color"] *= 2
+    assert not torch.isclose(loop.sequence_loss(network, batch, spec), loss)
 
 
 def test_a_perfect_recurrence_has_no_loss_and_a_flickering_one_has(tmp_path):
@@ -400,10 +459,18 @@ def test_where_nothing_moves_one_reference_is_enough(tmp_path):
     last = load_clip(render(tmp_path / "whole-0-0", frames=3), small(), Strips(1)).references[2]
     for reference in clip.references:
         np.testing.assert_array_equal(reference.color, last.color)
+    assert clip.still
     for changed in ({"moving": [], "cameras": moved}, {"moving": ["lamp"], "cameras": still}):
         (folder / RECORD).write_text(json.dumps({**record, **changed}))
-        with pytest.raises(InputError, match="every frame must have a reference"):
-            load_clip(folder, small(), Strips(1))
+        found = load_clip(folder, small(), Strips(1))
+        assert found.references[:2] == [None, None]
+        assert not found.still
+    # frames whose samples all lie alike are not those of one sample a pixel that others are made of
+    alike = [{**camera, "jitter": [0, 0]} for camera in still]
+    (folder / RECORD).write_text(json.dumps({**record, "moving": [], "cameras": alike}))
+    found = load_clip(folder, small(), Strips(1))
+    assert not found.still
+    np.testing.assert_array_equal(found.references[0].color, last.color)
 
 
 def test_training_learns_and_resumes(tmp_path):

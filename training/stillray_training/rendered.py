@@ -26,6 +26,7 @@ from stillray_training.glints import draw_glints, glinting_frame, glinting_refer
 from stillray_training.heavy_tail import draw_tail, frame_with, reference_with
 from stillray_training.leaves import draw_leaves
 from stillray_training.mixed_materials import draw_mixtures, mixed_frame, mixed_reference
+from stillray_training.sheen import draw_sheen, shining_frame, shining_reference
 from stillray_training.small_lamps import draw_lamps, lit_frame, lit_reference
 from stillray_training.targets import read_albedo_target, read_filter, read_target
 from stillray_training.thin_shadows import draw_shadow, in_shadow, reference_in_shadow
@@ -100,6 +101,7 @@ def read_rendered(
     for own, share, paint in (
         (5, recipe.thin_share, _thinned),
         (4, recipe.tail_share, _with_tail),
+        (11, recipe.sheen_share, _with_sheen),
         (3, recipe.shadow_share, _with_shadow),
         (2, recipe.window_share, _with_window),
         (1, recipe.lamp_share, _with_lamps),
@@ -148,6 +150,15 @@ def _with_tail(rendered: Rendered, rng: np.random.Generator) -> Rendered:
         rendered,
         reference_with(rendered.reference, tail),
         lambda frame, samples: frame_with(frame, tail, samples, rng),
+    )
+
+
+def _with_sheen(rendered: Rendered, rng: np.random.Generator) -> Rendered:
+    sheen = draw_sheen(rendered.reference, rendered.frames[-1], rng)
+    return _painted(
+        rendered,
+        shining_reference(rendered.reference, sheen),
+        lambda frame, samples: shining_frame(frame, sheen, samples, rng),
     )
 
 

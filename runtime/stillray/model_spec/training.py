@@ -65,6 +65,9 @@ class Training:
     # share of sequences into which glints are painted, lamps that a part of the samples meets, of
     # models of patches, for frames without a past, [0, 1]
     glint_share: float = 0.0
+    # share of sequences in which a surface mirrors soft light, as varnish does, of models of
+    # patches, [0, 1]
+    sheen_share: float = 0.0
     # share of sequences into which a bright window behind thin bars is painted, of models of
     # patches, [0, 1]
     window_share: float = 0.0
@@ -118,7 +121,7 @@ class Training:
             "shade_share", "paint_share", "firefly_share", "lamp_share", "fresh_share",
             "mean_share", "small_share", "window_share", "shadow_share", "tail_share",
             "thin_share", "defocus_share", "texture_share", "mixture_share",
-            "glint_share", "leaf_share",
+            "glint_share", "leaf_share", "sheen_share",
         ):  # fmt: skip
             within(f"training.{key}", getattr(self, key), 0, 1)
         for key in ("steps", "batch", "patch", "frames"):

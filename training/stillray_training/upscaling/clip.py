@@ -32,26 +32,28 @@ class Clip:
     Attributes
     ----------
     frames
-        With every buffer; motion is dilated.
+        With every buffer, zeros where a sequence has no roughness or specular albedo; motion is
+        dilated.
     references
-        Color, albedo and specular albedo of the picture's size.
+        Color, albedo and specular albedo of the picture's size; None where there is none.
     exposures
         1 / radiance, steadied as the runtime does.
     depth_units
         See `stillray.stages.features.depth_scale`.
     still
-        Whether nothing moves: all frames have the same reference.
+        Whether nothing moves but the jitter: all frames have the same reference.
     """
 
     frames: list[Frame]
-    references: list[Frame]
+    references: list[Frame | None]
     exposures: list[float]
     depth_units: list[float]
     still: bool = False
 
 
 _CLEANER = 4.0  # octaves of noise that means may lose
-_GUIDES = ("motion", "depth", "albedo", "normal", "roughness", "specular_albedo")
+_NEEDED = ("motion", "depth", "albedo", "normal")
+_GUIDES = (*_NEEDED, "roughness", "specular_albedo")
 
 
 def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
@@ -62,30 +64,30 @@ def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
     Raises
     ------
     InputError
-        A frame has no reference of the picture's size with albedos, or no guides.
+        The last frame has no reference, one is not of the picture's size or has no albedo, or a
+        frame has no guides.
     """
     assert isinstance(spec.decoder, FeatureFilters)
     record = json.loads((sequence / RECORD).read_text())
-    frames: list[Frame] = []
-    references: list[Frame] = []
     paths = frame_paths(sequence)
-    scale, shared = spec.decoder.scale, _stands_still(record)
+    frames = []
     for path in paths:
         frame = _frame(path, record)
-        motion, depth = frame.motion, frame.depth
-        assert motion is not None
-        assert depth is not None
-        frames.append(replace(frame, motion=dilated(motion, depth, strips)))
-        if shared and references:
-            references.append(references[0])
-        else:
-            number = _number(paths[-1] if shared else path)
-            references.append(_reference(sequence, number, frame, scale))
-    return clip_of(frames, references, spec, still=shared)
+        assert frame.motion is not None
+        assert frame.depth is not None
+        frames.append(replace(frame, motion=dilated(frame.motion, frame.depth, strips)))
+    height, width = (length * spec.decoder.scale for length in frames[0].shape)
+    references = [_reference(sequence, _number(path), (height, width)) for path in paths]
+    if references[-1] is None:
+        raise InputError(f"{sequence}: the last frame must have a reference, it is missing")
+    shared = _stands_still(record)
+    if shared:
+        references = [references[-1]] * len(frames)
+    return clip_of(frames, references, spec, still=shared and _is_jittered(frames))
 
 
 def clip_of(
-    frames: Sequence[Frame], references: list[Frame], spec: ModelSpec, *, still: bool
+    frames: Sequence[Frame], references: list[Frame | None], spec: ModelSpec, *, still: bool
 ) -> Clip:
     """A clip of frames with depth, exposed and bounded one after the other as the runtime does."""
     bounded_frames: list[Frame] = []
@@ -110,54 +112,67 @@ def clip_of(
 
 
 def _frame(path: Path, record: dict[str, Any]) -> Frame:
-    """A frame with every guide, repaired as the runtime hands them on, and its jitter."""
+    """A frame with every guide, repaired as the runtime hands them on, and its jitter.
+
+    Roughness and specular albedo are zeros where there are none, and jitter is where a record says
+    nothing: as the network reads what is not given.
+    """
     frame = read_exr(path)
-    rough, glossy = frame.roughness, frame.specular_albedo
-    if rough is None or glossy is None or not frame.given.issuperset(_GUIDES):
-        raise InputError(f"{path}: must have {', '.join(_GUIDES)}")
-    rough, glossy = (repair_feature(guide, 0.0, 1.0) for guide in (rough, glossy))
+    if not frame.given.issuperset(_NEEDED):
+        raise InputError(f"{path}: must have {', '.join(_NEEDED)}")
+    nothing = np.zeros((*frame.shape, 3), np.float32)
+    rough, glossy = (
+        other if guide is None else repair_feature(guide, 0.0, 1.0)
+        for guide, other in ((frame.roughness, nothing[..., 0]), (frame.specular_albedo, nothing))
+    )
     frame = replace(frame, roughness=rough, specular_albedo=glossy)
     if frame.jitter is not None:
         return frame
-    jitter = record["cameras"][_number(path)]["jitter"]
+    cameras = record.get("cameras")
+    jitter = cameras[_number(path)]["jitter"] if cameras else (0, 0)
     return replace(frame, jitter=np.array(jitter, np.float32))
 
 
 def _stands_still(record: dict[str, Any]) -> bool:
-    """Whether neither the camera nor anything else of a sequence moves."""
-    places = [camera.get("camera_to_world") for camera in record["cameras"]]
+    """Whether neither the camera nor anything else of a sequence moves, as far as it tells."""
+    places = [camera.get("camera_to_world") for camera in record.get("cameras", ())]
     moving = record.get("moving", True)
-    return not moving and all(place == places[0] for place in places)
+    return not moving and bool(places) and all(place == places[0] for place in places)
+
+
+def _is_jittered(frames: Sequence[Frame]) -> bool:
+    """Whether samples lie elsewhere in their pixels from frame to frame."""
+    places = [frame.jitter.tolist() for frame in frames if frame.jitter is not None]
+    return any(place != places[0] for place in places)
 
 
 def _number(path: Path) -> int:
     return int(path.stem.split("_")[1])
 
 
-def _reference(sequence: Path, number: int, frame: Frame, scale: int) -> Frame:
+def _reference(sequence: Path, number: int, size: tuple[int, int]) -> Frame | None:
+    """What a frame should show, of the picture's size; None where there is none."""
     path = sequence / f"ref_{number:04d}.exr"
     if not path.is_file():
-        raise InputError(f"{sequence}: every frame must have a reference, {path.name} is missing")
+        return None
     reference = read_exr(path)
-    height, width = size = (frame.shape[0] * scale, frame.shape[1] * scale)
+    height, width = size
+    target = sequence / f"target_{number:04d}.exr"
+    shown = read_exr(target) if target.is_file() else reference
+    albedo = shown.albedo if reference.albedo is None else reference.albedo
     larger = reference.shape[0] // height
     fits = larger > 0 and reference.shape == (larger * height, larger * width)
-    if not fits or reference.albedo is None or reference.specular_albedo is None:
-        raise InputError(
-            f"{path}: must have albedo, specular_albedo and the size {size} or a multiple of it"
-        )
-    target = sequence / f"target_{number:04d}.exr"
-    color = read_exr(target).color if target.is_file() else reference.color
+    if not fits or albedo is None:
+        raise InputError(f"{path}: must have albedo and the size {size} or a multiple of it")
+    glossy = reference.specular_albedo
+    if glossy is None:
+        glossy = np.zeros_like(albedo)
 
     def mean(image: np.ndarray) -> np.ndarray:
         # one rendered for a larger picture serves: a pixel is the mean of those that it covers
         return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
 
-    return Frame(
-        color=mean(color),
-        albedo=mean(reference.albedo),
-        specular_albedo=mean(reference.specular_albedo),
-    )
+    return Frame(color=mean(shown.color), albedo=mean(albedo), specular_albedo=mean(glossy))
 
 
 def of_several_samples(clip: Clip, count: int, rng: np.random.Generator) -> Clip:
@@ -171,8 +186,9 @@ def of_several_samples(clip: Clip, count: int, rng: np.random.Generator) -> Clip
     each = int(2 ** rng.uniform(0, np.log2(most + 1)))
     noise = 2 ** -rng.uniform(0, _CLEANER) if rng.random() < 0.5 else 1.0
     first = int(rng.integers(len(clip.frames) - count * each + 1))
-    size = clip.frames[0].shape[::-1]
-    wanted = cv2.resize(clip.references[0].color, size, interpolation=cv2.INTER_AREA)
+    size, reference = clip.frames[0].shape[::-1], clip.references[0]
+    assert reference is not None  # of a still clip
+    wanted = cv2.resize(reference.color, size, interpolation=cv2.INTER_AREA)
     frames = []
     for start in range(first, first + count * each, each):
         frame = _mean(clip.frames[start : start + each])

@@ -33,7 +33,8 @@ class ClipSampler:
 
     A batch has the recipe's frames, after none to ``warm_frames`` others, as far as the first of
     its sequences has so many; the rest of it is of sequences that are as long. ``fresh_share`` of
-    the batches have none of those: first frames would be rare among long pasts.
+    the batches have none of those: first frames would be rare among long pasts. The last frame of
+    a patch has a reference.
 
     Parameters
     ----------
@@ -85,14 +86,17 @@ class ClipSampler:
             clip = through_window(clip, self._spec, rng)
         if clip.still and recipe.mean_share and rng.random() < recipe.mean_share:
             clip = of_several_samples(clip, count, rng)
-        first = int(rng.integers(len(clip.frames) - count + 1))
+        ends = [at for at in range(count, len(clip.frames) + 1) if clip.references[at - 1]]
+        first = ends[rng.integers(len(ends))] - count
         height, width = clip.frames[0].shape
         top = int(rng.integers(height - self._side + 1))
         left = int(rng.integers(width - self._side + 1))
         change = _Change.drawn(rng, recipe)
         lights: list[np.ndarray | None] = [None] * count
         if recipe.firefly_share and rng.random() < recipe.firefly_share:
-            lights = list(self._fireflies(clip.references[first].color, count, rng))
+            shown = clip.references[first + count - 1]
+            assert shown is not None
+            lights = list(self._fireflies(shown.color, count, rng))
         samples = [
             self._sample(clip, first + number, (top, left), change, light)
             for number, light in enumerate(lights)
@@ -180,6 +184,10 @@ class ClipSampler:
         given = change.features(frame)
         right = np.broadcast_to(grid.right, grid.full)
         down = np.broadcast_to(grid.down[:, None], grid.full)
+        known = reference is not None
+        if reference is None:  # zeros, which `known` says are nothing
+            nothing = np.zeros((*(self._scale * size for size in frame.shape), 3), np.float32)
+            reference = Frame(color=nothing, albedo=nothing, specular_albedo=nothing)
         truth = change.references(reference)
         return {
             "color": seen(light),
@@ -194,6 +202,7 @@ class ClipSampler:
             "exposure": np.full((1, 1, 1), clip.exposures[at] * change.exposure, np.float32),
             "depth_unit": np.full((1, 1, 1), clip.depth_units[at], np.float32),
             **{name: _planes(change.image(image[high])) for name, image in truth.items()},
+            "known": np.full((1, 1, 1), known, np.float32),
         }
 
     def _lit(

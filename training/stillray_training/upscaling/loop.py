@@ -48,7 +48,7 @@ def sequence_loss(
     progress: float = 0.0,
 ) -> Tensor:
     """Mean loss over the last frames of a batch, as many as the recipe has; no gradient goes
-    further back.
+    further back. Of a patch those frames count that have a reference.
 
     Parameters
     ----------
@@ -63,26 +63,26 @@ def sequence_loss(
     """
     rules, names = FeatureFiltersModel(spec).rules, spec.network.features
     before: Remembered | None = None
-    wanted_before: Tensor | None = None
-    total: Tensor | None = None
+    last: Mapping[str, Tensor] | None = None
+    total = count = torch.zeros(())
     warm = len(batch) - spec.training.frames
     for index, sample in enumerate(batch):
         frame = {name: torch.as_tensor(array) for name, array in sample.items()}
         if index < warm:
             with torch.no_grad():
                 _, before, _ = unrolled_step(network, frame, before, names, rules)
-            wanted_before = frame["wanted"]
+            last = frame
             continue
         image, before, recalled = unrolled_step(network, frame, before, names, rules)
-        loss = frame_loss(image, before, frame, spec.training)
-        if recalled is not None and wanted_before is not None:
-            was = warped(wanted_before, frame["positions"]) * frame["inside"]
+        loss, known = frame_loss(image, before, frame, spec.training), frame["known"].flatten()
+        if recalled is not None and last is not None:
+            was = warped(last["wanted"], frame["positions"]) * frame["inside"]
             change = temporal_loss((image, recalled), (frame["wanted"], was), frame)
-            loss = loss + spec.training.steady_weight * (1 + progress) * change
-        wanted_before = frame["wanted"]
-        total = loss if total is None else total + loss
-    assert total is not None
-    return total.mean() / spec.training.frames
+            weight = spec.training.steady_weight * (1 + progress)
+            loss = loss + weight * last["known"].flatten() * change
+        last = frame
+        total, count = total + known * loss, count + known
+    return (total / count).mean()
 
 
 def frame_loss(

@@ -27,13 +27,14 @@ def through_window(clip: Clip, spec: ModelSpec, rng: np.random.Generator) -> Cli
         Draws the window.
     """
     reference, first = clip.references[0], clip.frames[0]
+    assert reference is not None  # of a still clip
     scale = reference.shape[0] // first.shape[0]
     assert first.depth is not None
     size = reference.shape[::-1]
     depth = cv2.resize(first.depth, size, interpolation=cv2.INTER_NEAREST)
     window = draw_window(reference.color, depth, None, rng)
     frames = [frame_behind_bars(frame, window, scale) for frame in clip.frames]
-    references = [_reference(reference, window)] * len(clip.references)
+    references: list[Frame | None] = [_reference(reference, window)] * len(clip.references)
     return clip_of(frames, references, spec, still=clip.still)
 
 
