@@ -22,6 +22,7 @@ from stillray.stages.recall import (
     USUAL_NOISE,
     Compared,
     Recall,
+    believed,
 )
 from stillray.stages.sample_counts import SampleCounts
 from tests.conftest import make_frame
@@ -34,7 +35,12 @@ def recall(samples=None, power=0.5, limit=2.5):
 def share(previous, color, exposure=1.0, strips=None, worth=None, **rules):
     strips = strips or Strips(1)
     seen = Compared(previous, previous, color, exposure, worth)
-    return recall(**rules).share(seen, strips, Workspace()).copy()
+    found = recall(**rules).share(seen, strips, Workspace())
+    plain = recall(**{**rules, "power": 0.0}).share(seen, strips, Workspace())
+    # how far they agree has nothing to do with what a frame's samples weigh
+    np.testing.assert_array_equal(found.agreed, plain.agreed)
+    np.testing.assert_array_equal(plain.output, plain.agreed)
+    return found.output.copy()
 
 
 def noisy(rng, shape, noise):
@@ -188,6 +194,33 @@ def test_any_light_gives_a_share(color, last, exposure):
     assert (got <= 1).all()
 
 
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (5, 40), (37, 53)])
+def test_what_is_believed_equals_the_loop_oracle(rng, height, width):
+    mean = rng.uniform(0, 9, (height, width, 4)).astype(np.float32)
+    mean[..., 3] += 0.1
+    mean[0, 0, :3] = 1e30  # a firefly in a past that is dark elsewhere
+    sample = rng.uniform(0.05, 2, (4, height, width)).astype(np.float32)
+    agreed = rng.random((height, width), np.float32)
+    agreed[0, 0] = 0
+    agreed[-1, -1] = 1 if height > 1 else 0
+    expected = np.empty((height, width, 4))
+    for y, x in np.ndindex(height, width):
+        share, held, own = (float(each) for each in (agreed[y, x], mean[y, x, 3], sample[3, y, x]))
+        total = share * held + (1 - share) * own
+        for channel in range(3):
+            light, new = float(mean[y, x, channel]), float(sample[channel, y, x])
+            expected[y, x, channel] = (share * held * light + (1 - share) * own * new) / total
+        expected[y, x, 3] = total
+    for strips in (Strips(1), Strips(2), Strips(1, pixels=2 * width)):
+        got = believed(mean, sample, agreed, strips, np.empty_like(mean))
+        np.testing.assert_allclose(got, expected, rtol=2e-6)
+    # nothing is lost where all agrees, and the frame's sample alone is left where nothing does
+    whole = believed(mean, sample, np.ones_like(agreed), Strips(1), np.empty_like(mean))
+    np.testing.assert_allclose(whole, mean, rtol=2e-7)
+    alone = believed(mean, sample, np.zeros_like(agreed), Strips(1), np.empty_like(mean))
+    np.testing.assert_allclose(alone, sample.transpose(1, 2, 0), rtol=2e-7)
+
+
 def test_a_frame_recalls_less_of_a_last_output_that_had_its_petals_elsewhere():
     """Small bright things that move otherwise than their motion says, in frames of little noise."""
     rng, spec, context = np.random.default_rng(3), load("kpyr-5s"), Context(strips=Strips(1))
@@ -207,3 +240,11 @@ def test_a_frame_recalls_less_of_a_last_output_that_had_its_petals_elsewhere():
         prepared, _ = kernels_of(spec).prepare(plan, context)
     petals = last.color[..., 0] > 2
     assert prepared.recalled[petals].max() < 0.5 * np.median(prepared.recalled[~petals])
+    # nor are they filtered as what was accumulated, which is remembered as it was
+    held, left = prepared.history.mean[petals], prepared.mean[petals]
+    own = prepared.sample[:3, petals].T
+    off = [np.median(np.abs(light[:, :3] / own - 1)) for light in (left, held)]
+    assert off[0] < 0.5 * off[1]
+    assert (left[:, 3] < 0.8 * held[:, 3]).all()
+    usual = [np.median(mean[~petals], 0) for mean in (prepared.mean, prepared.history.mean)]
+    np.testing.assert_allclose(*usual, rtol=0.02)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from stillray.arrays.strips import Strips, interleave
+from stillray.arrays.strips import Strips, interleave, planes_of
 from stillray.arrays.workspace import Workspace
 from stillray.errors import InputError
 from stillray.families.contract import Context, Request
@@ -31,7 +31,7 @@ from stillray.pipeline.prefilter import Prefilter
 from stillray.stages.decide import Wants
 from stillray.stages.prepare import prepare
 from stillray.stages.previous_output import resample
-from stillray.stages.recall import Compared
+from stillray.stages.recall import Compared, believed
 from stillray.stages.reproject import positions_of
 from stillray.stages.sample_counts import SampleCounts
 from stillray.stages.state import History, Prepared
@@ -156,18 +156,21 @@ class Runtime:
     def recall(
         self, example: Example, previous: np.ndarray, color: np.ndarray, samples: float
     ) -> Example:
-        """An example after which some output ``(h, w, 4)`` was the last.
+        """An example before which some output ``(h, w, 4)`` was the last.
 
         ``color`` ``(h, w, 3)`` is the frame's, of so many samples a pixel.
         """
-        share: np.ndarray | None = None
         recall = kernels_of(self.spec).recall(SampleCounts(mean=samples))
-        if recall is not None:
-            own = np.maximum(color, np.float32(0))
-            worth = np.ascontiguousarray(example.sample[..., 3])
-            seen = Compared(previous, previous, own, example.exposure, worth)
-            share = recall.share(seen, self._strips, Workspace())
-        return replace(example, previous=previous, recalled=share)
+        if recall is None:
+            return replace(example, previous=previous)
+        sample = planes_of(example.sample)
+        seen = Compared(
+            previous, previous, np.maximum(color, np.float32(0)), example.exposure, sample[3]
+        )
+        found = recall.share(seen, self._strips, Workspace())
+        out = np.empty_like(example.mean)
+        left = believed(example.mean, sample, found.agreed, self._strips, out)
+        return replace(example, previous=previous, recalled=found.output, mean=left)
 
     def example(self, run: list[Frame], reference: np.ndarray) -> Example:
         """The last of some frames in a row, and what it is to become."""
@@ -406,7 +409,8 @@ class Remembered(NamedTuple):
     Attributes
     ----------
     mean : (h, w, 4) float32
-        Accumulated light and samples, looked up beside edges of its output as the runtime does.
+        Accumulated light and samples, looked up beside edges of its output as the runtime does, and
+        believed as far as that agrees.
     previous : (h, w, 4) float32
         Radiance of the last output at the pixels of this frame, and how much of it is valid.
     recalled : (h, w) float32 or None
@@ -450,5 +454,6 @@ def remembered(sequence: Path, denoiser: Denoiser, strips: Strips) -> dict[int, 
         plan = family.plan(last, denoiser.state, Request(), context)
         prepared, previous = family.prepare(plan, context)
         if previous is not None:
-            found[count] = Remembered(prepared.history.mean, previous, prepared.recalled)
+            # what is believed lies where the next frame's will
+            found[count] = Remembered(prepared.mean.copy(), previous, prepared.recalled)
     return found

@@ -29,7 +29,12 @@ from stillray_export.frame_graph.lamps import restored
 from stillray_export.frame_graph.light import local_luminance, tone_map
 from stillray_export.frame_graph.lookup import grid
 from stillray_export.frame_graph.rare_light import rare_light_gain
-from stillray_export.frame_graph.recall import forget_uncovered, recall, recalled_share
+from stillray_export.frame_graph.recall import (
+    believed,
+    forget_uncovered,
+    recall,
+    recalled_share,
+)
 from stillray_export.frame_graph.reflections import follow_reflections, light_of
 from stillray_export.frame_graph.rejection import Noise, compare, confidence
 from stillray_export.frame_graph.relief import relief_gain
@@ -225,10 +230,11 @@ class FrameGraph(nn.Module):
             told=counts.told,
             filter_spread=frame.filter_spread,
         )
+        sample = torch.cat([sample[:, :3], worth], 1)
         if self.options.recall_noise:
-            prepared = replace(
-                prepared, recalled=self._recalled(prepared, frame.color, worth, counts)
-            )
+            agreed, recalled = self._recalled(prepared, frame.color, worth, counts)
+            left, held = believed(mean, total, sample, torch.where(frame.moves > 0, agreed, 1.0))
+            prepared = replace(prepared, recalled=recalled, irradiance=left, held=held)
         numbers = torch.stack(
             [final, exposure * frame.moves, noise.frames * frame.moves, counts.mean, frames]
         )
@@ -240,7 +246,7 @@ class FrameGraph(nn.Module):
             numbers=numbers,
             albedo=albedo,
         )
-        return prepared, torch.cat([sample[:, :3], worth], 1), state
+        return prepared, sample, state
 
     def accumulate(
         self, frame: Buffers, held: Tensor, irradiance: Tensor, light: Tensor, exposure: Tensor
@@ -345,8 +351,8 @@ class FrameGraph(nn.Module):
 
     def _recalled(
         self, frame: Prepared, color: Tensor, worth: Tensor, counts: SampleCounts
-    ) -> Tensor:
-        """What the last output weighs in the picture, see `stillray.stages.recall`."""
+    ) -> tuple[Tensor, Tensor]:
+        """What is taken of the past, see `stillray.stages.recall`."""
         exposure = self._exposure(frame)
         lights = frame.previous, color
         return recalled_share(lights, worth, frame.valid, exposure, counts, self.options)

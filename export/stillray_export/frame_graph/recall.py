@@ -123,8 +123,8 @@ def recalled_share(
     exposure: Tensor,
     counts: SampleCounts,
     options: PyramidKernels,
-) -> Tensor:
-    """What the last output weighs in the picture, see `stillray.stages.recall.Recall.share`.
+) -> tuple[Tensor, Tensor]:
+    """What is taken of the past, see `stillray.stages.recall.Recall.share`.
 
     Parameters
     ----------
@@ -143,7 +143,8 @@ def recalled_share(
 
     Returns
     -------
-    (1, 1, h, w)
+    agreed, output : (1, 1, h, w)
+        Of `stillray.stages.recall.Recalled`.
     """
     height, width = valid.shape[2:]
     last, own = (
@@ -153,13 +154,30 @@ def recalled_share(
     noise = _noise(apart, valid)
     reach = enlarged(noise + stage.TAIL * noise.square(), stage.BLOCK, height, width)
     beyond = (apart / reach - options.recall_noise).clamp(min=0).square()
-    share = 1 - worth.clamp(max=1) * (1 - 1 / (1 + beyond))
+    agreed = 1 - worth.clamp(max=1) * (1 - 1 / (1 + beyond))
     if not options.recall_power:
-        return share
+        return agreed, agreed
     quiet = (noise / stage.USUAL_NOISE).clamp(max=1)
     by_noise = enlarged(quiet, stage.BLOCK, height, width)
     told = counts.past_weight(options.recall_power)
-    return share * torch.where(counts.mean > 0, told, by_noise)
+    return agreed, agreed * torch.where(counts.mean > 0, told, by_noise)
+
+
+def believed(mean: Tensor, total: Tensor, sample: Tensor, agreed: Tensor) -> tuple[Tensor, Tensor]:
+    """What was accumulated, as far as it is believed, see `stillray.stages.recall.believed`.
+
+    Parameters
+    ----------
+    mean, total : (1, 3, h, w), (1, 1, h, w)
+        Light, and the samples that pixels hold.
+    sample : (1, 4, h, w)
+        This frame's light, and what its samples weigh.
+    agreed : (1, 1, h, w)
+        See `recalled_share`.
+    """
+    kept, gained = agreed * total, (1 - agreed) * sample[:, 3:]
+    left = kept + gained
+    return kept / left * mean + gained / left * sample[:, :3], left
 
 
 def _noise(apart: Tensor, valid: Tensor) -> Tensor:

@@ -327,7 +327,7 @@ class FeatureFiltersModel:
         share = Recall(limit=self.rules.filters.recall_noise).share(
             seen, context.strips, context.workspace
         )
-        return replace(past, recalled=share)
+        return replace(past, recalled=share.agreed)
 
     def _exposed(self, plan: UpscalePlan, context: Context) -> tuple[float, np.ndarray]:
         """The exposure, and the color without what stands far above its surroundings."""

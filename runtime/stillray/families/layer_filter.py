@@ -29,6 +29,7 @@ from stillray.stages import reproject as rep
 from stillray.stages.decide import TemporalPlan
 from stillray.stages.lamps import Restored, own_light
 from stillray.stages.prepare import discontinuities
+from stillray.stages.recall import believed
 from stillray.stages.repair import fill
 from stillray.stages.state import Filterable, LayerPast, Prepared, filterable
 
@@ -122,7 +123,7 @@ class FilteredLayers:
             sample = new
         assert mean is not None
         own = Filterable(
-            mean=mean,
+            mean=self._believed(mean, sample),
             sample=sample,
             remodulation_albedo=None if layer.irradiance else prepared.remodulation_albedo,
             previous=self._previous(name, sharp=layer.is_light),
@@ -186,6 +187,13 @@ class FilteredLayers:
 
         self._strips.run(work, *shape)
         return new, mean
+
+    def _believed(self, mean: np.ndarray, sample: np.ndarray | None) -> np.ndarray:
+        """What is filtered of a layer's accumulated light ``(h, w, 4)``, as of the color's."""
+        agreed = self._prepared.agreed
+        if sample is None or agreed is None:
+            return mean
+        return believed(mean, sample, agreed, self._strips, np.empty_like(mean))
 
     def _repaired(self, radiance: np.ndarray) -> np.ndarray:
         broken, light = self._plan.buffers.broken, np.empty(radiance.shape, np.float32)

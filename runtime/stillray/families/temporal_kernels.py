@@ -30,7 +30,7 @@ from stillray.stages.means import Means
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.prepare import prepare_planned
 from stillray.stages.put_back import put_back
-from stillray.stages.recall import Compared, Recall
+from stillray.stages.recall import Compared, Recall, believed
 from stillray.stages.sample_counts import SampleCounts
 from stillray.stages.state import Filterable, History, Prepared, filterable
 from stillray.timing import timed
@@ -144,7 +144,7 @@ class TemporalKernels(ABC):
         return outputs
 
     def recall(self, counts: SampleCounts) -> Recall | None:
-        """By what a frame takes of the last output; None: as the network says."""
+        """By what a frame takes of the past; None: as the network says."""
         return None
 
     def wants(self, request: Request) -> Wants:
@@ -261,11 +261,7 @@ class TemporalKernels(ABC):
             )
             recall = self.recall(prepared.counts)
             if previous is not None and recall is not None:
-                worth = None if prepared.sample is None else prepared.sample[3]
-                exposure = prepared.history.exposure
-                seen = Compared(previous, previous, early.buffers.color, exposure, worth)
-                share = recall.share(seen, context.strips, context.workspace)
-                prepared = replace(prepared, recalled=share)
+                prepared = recalling(recall, prepared, previous, early.buffers.color, context)
         return prepared, previous
 
     def _tiled(
@@ -339,7 +335,7 @@ class TemporalKernels(ABC):
         def fill(rows: slice, target: np.ndarray) -> None:
             workspace = context.strips.workspace
             given = features.FeatureInputs(
-                mean=prepared.history.mean[rows],
+                mean=prepared.mean[rows],
                 local=prepared.local[rows],
                 exposure=exposure,
                 sample=prepared.luminance[rows],
@@ -391,6 +387,36 @@ class TemporalKernels(ABC):
         pasts = {} if layers is None else layers.pasts
         history = replace(prepared.history, output=output, layers=pasts)
         return State(shape=plan.before_network.shape, temporal=history)
+
+
+def recalling(
+    recall: Recall, prepared: Prepared, previous: np.ndarray, color: np.ndarray, context: Context
+) -> Prepared:
+    """A frame that takes of its past what single pixels agree with.
+
+    Parameters
+    ----------
+    recall
+        The rule.
+    prepared
+        The frame.
+    previous : (h, w, 4) float32
+        The last output at its pixels, and how much of it is valid.
+    color : (h, w, 3) float32
+        The frame's, repaired.
+    context
+        Where the work runs.
+    """
+    strips, workspace = context.strips, context.workspace
+    worth = None if prepared.sample is None else prepared.sample[3]
+    seen = Compared(previous, previous, color, prepared.history.exposure, worth)
+    found = recall.share(seen, strips, workspace)
+    left: np.ndarray | None = None
+    if prepared.sample is not None:
+        mean = prepared.history.mean
+        out = workspace.array("believed", mean.shape)
+        left = believed(mean, prepared.sample, found.agreed, strips, out)
+    return replace(prepared, recalled=found.output, agreed=found.agreed, believed=left)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,10 +1,11 @@
-"""Recall: how much of the last output a picture takes, pixel by pixel.
+"""Recall: how much of the past a picture takes, pixel by pixel.
 
 Geometry and blocks of light tell where a past no longer holds. What they cannot tell are single
 pixels: petals before a window, a faucet's glint, an edge in a mirror, looked up a part of a pixel
 off. Where a frame's samples are good, they tell. So the last output is compared with the frame's
 own sample, in units of the noise of this frame, and counts less where they differ by more than
-that. Noise is measured there as well: it is what they differ by at most pixels.
+that, and what was accumulated with it. Noise is measured there as well: it is what they differ by
+at most pixels.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.bounds import at_least, at_most
-from stillray.arrays.strips import STRIP_PIXELS, Strips
+from stillray.arrays.strips import STRIP_PIXELS, Strips, interleave, planes_of
 from stillray.arrays.workspace import Workspace
 from stillray.stages.sample_counts import SampleCounts
 
@@ -61,9 +62,26 @@ class Compared:
     worth: np.ndarray | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Recalled:
+    """What is taken of a past, ``(h, w)`` float32 in [0, 1] each.
+
+    Attributes
+    ----------
+    agreed
+        How far the last output agrees with the frame's samples: a share of what the past holds.
+    output
+        What the last output weighs in a picture, as a share of what a network says: ``agreed``, or
+        less where the frame has many samples.
+    """
+
+    agreed: np.ndarray
+    output: np.ndarray
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recall:
-    """By what a frame takes of the last output.
+    """By what a frame takes of the past.
 
     Attributes
     ----------
@@ -78,15 +96,15 @@ class Recall:
     power: float = 0.0
     counts: SampleCounts = SampleCounts()  # noqa: RUF009  a value that nobody can change
 
-    def share(self, seen: Compared, strips: Strips, workspace: Workspace) -> np.ndarray:
-        """What the last output weighs in a picture, as a share of what a network says.
+    def share(self, seen: Compared, strips: Strips, workspace: Workspace) -> Recalled:
+        """What is taken of the past.
 
         With ``a`` the mean over channels of ``|log((p + DARK) / (s + DARK))|``, of the exposed last
-        output ``p`` and this frame's sample ``s``, and the noise ``n`` around, see `_noise`: that
-        is ``1 / (1 + x^2)``, ``x = max(a / (n (1 + TAIL n)) - limit, 0)``, or nearer to 1 where the
-        sample is worth less, times what the past weighs beside the frame's samples, see
-        `SampleCounts.past_weight`. Where nobody told those, ``n / USUAL_NOISE`` stands for that,
-        up to 1.
+        output ``p`` and this frame's sample ``s``, and the noise ``n`` around, see `_noise`: they
+        agree as far as ``1 / (1 + x^2)``, ``x = max(a / (n (1 + TAIL n)) - limit, 0)``, or nearer
+        to 1 where the sample is worth less. The last output weighs that times what the past weighs
+        beside the frame's samples, see `SampleCounts.past_weight`. Where nobody told those,
+        ``n / USUAL_NOISE`` stands for that, up to 1.
 
         Parameters
         ----------
@@ -96,15 +114,11 @@ class Recall:
             Where the work runs.
         workspace
             Where the result lies from frame to frame.
-
-        Returns
-        -------
-        (h, w) float32
-            In [0, 1].
         """
         height, width = seen.color.shape[:2]
-        share = workspace.array("recalled share", (height, width))
-        noise = _noise(seen, share, strips, workspace)
+        agreed = workspace.array("agreed share", (height, width))
+        output = workspace.array("recalled share", (height, width)) if self.power else agreed
+        noise = _noise(seen, agreed, strips, workspace)
         strips.watch.look()
         reach = noise + np.float32(TAIL) * np.square(noise)
         of_noise = _by_pixel(reach, workspace.array("reach of noise", _whole(reach)))
@@ -114,7 +128,7 @@ class Recall:
             weight = _by_pixel(quiet, workspace.array("share by noise", of_noise.shape))
 
         def work(rows: slice) -> None:
-            kept = share[rows]
+            kept = agreed[rows]
             kept /= of_noise[rows, :width]
             kept -= np.float32(self.limit)
             at_least(kept, 0, out=kept)
@@ -125,14 +139,62 @@ class Recall:
                 kept -= 1
                 kept *= at_most(seen.worth[rows], 1)
                 kept += 1
-            if weight is not None:
-                kept *= weight[rows, :width]
+            if not self.power:
+                return
             told = self.counts.past_weight(self.power, rows)
-            if told is not None:
-                kept *= told
+            if weight is not None:
+                told = weight[rows, :width]
+            np.multiply(kept, 1 if told is None else told, out=output[rows])
 
         strips.run(work, height, width)
-        return share
+        return Recalled(agreed, output)
+
+
+def believed(
+    mean: np.ndarray, sample: np.ndarray, agreed: np.ndarray, strips: Strips, out: np.ndarray
+) -> np.ndarray:
+    """What was accumulated, of a past that counts as far as single pixels agree with it.
+
+    What the past loses this frame's sample gains, up to what it would weigh in new pixels: of
+    ``n`` samples with the mean ``m``, and a sample ``s`` that weighs ``w``, an agreement ``a``
+    leaves ``a n + (1 - a) w`` samples, with the mean that those have of ``m`` and ``s``.
+
+    Parameters
+    ----------
+    mean : (h, w, 4) float32
+        Light, and the samples that pixels hold, this frame's among them.
+    sample : (4, h, w) float32
+        This frame's light, and what its samples weigh, > 0.
+    agreed : (h, w) float32
+        See `Recalled`.
+    strips
+        Where the work runs.
+    out : (h, w, 4) float32
+        Written and returned; not ``mean``.
+    """
+
+    def work(rows: slice) -> None:
+        shape = (4, rows.stop - rows.start, mean.shape[1])
+        held = planes_of(mean[rows], out=strips.workspace.array("held", shape))
+        gained = strips.workspace.array("gained", shape[1:])
+        product = strips.workspace.array("product", shape[1:])
+        own = sample[:, rows]
+        np.subtract(1, agreed[rows], out=gained)
+        gained *= own[3]
+        kept = held[3]
+        kept *= agreed[rows]
+        total = np.add(kept, gained, out=strips.workspace.array("total", shape[1:]))
+        gained /= total
+        kept /= total
+        # two products, since a difference would cancel where a firefly meets a dark past
+        for light, new in zip(held[:3], own[:3], strict=True):
+            light *= kept
+            light += np.multiply(new, gained, out=product)
+        held[3] = total
+        interleave(held, out=out[rows])
+
+    strips.run(work, *agreed.shape)
+    return out
 
 
 def _noise(seen: Compared, apart: np.ndarray, strips: Strips, workspace: Workspace) -> np.ndarray:

@@ -105,7 +105,7 @@ class Prepared:
     Attributes
     ----------
     history
-        The history after this frame; its ``mean`` is what the kernels filter.
+        The history after this frame; its ``mean`` is what the kernels filter, see ``believed``.
     sample : (4, h, w) float32 or None
         This frame's irradiance and, last, what its samples would weigh in new pixels; None where
         it was not asked for, or where there is no past: it is the ``mean`` then.
@@ -143,6 +143,10 @@ class Prepared:
     recalled : (h, w) float32 or None
         What the last output weighs in the picture, as a share of what the network says, see
         `stillray.stages.recall`; None: all of it.
+    agreed : (h, w) float32 or None
+        What the past counts, as a share, see `stillray.stages.recall`; None: all of it.
+    believed : (h, w, 4) float32 or None
+        What is left of the history's ``mean`` by that, which kernels filter in its place.
     """
 
     history: History
@@ -163,6 +167,13 @@ class Prepared:
     counts: SampleCounts = SampleCounts()  # noqa: RUF009  a value that nobody can change
     filter_spread: float | None = None
     recalled: np.ndarray | None = None
+    agreed: np.ndarray | None = None
+    believed: np.ndarray | None = None
+
+    @property
+    def mean(self) -> np.ndarray:
+        """What the kernels filter, ``(h, w, 4)``: light and samples."""
+        return self.history.mean if self.believed is None else self.believed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -199,7 +210,7 @@ class Filterable:
 def filterable(prepared: Prepared, previous: np.ndarray | None) -> Filterable:
     """What kernels look at of a prepared frame."""
     return Filterable(
-        mean=prepared.history.mean,
+        mean=prepared.mean,
         sample=prepared.sample,
         remodulation_albedo=prepared.remodulation_albedo,
         previous=previous,

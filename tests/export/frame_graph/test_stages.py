@@ -319,7 +319,17 @@ def test_as_much_of_the_last_output_is_recalled(size, samples, rng):
     counts = accumulation.SampleCounts(given, scalar(0))
     lights = planes(light), planes(color)
     got = recall.recalled_share(lights, planes(worth), planes(valid), scalar(0.7), counts, options)
-    np.testing.assert_allclose(image(got), wanted, rtol=2e-4, atol=1e-6)
+    for one, other in zip(got, (wanted.agreed, wanted.output), strict=True):
+        np.testing.assert_allclose(image(one), other, rtol=2e-4, atol=1e-6)
+    mean = rng.uniform(0.1, 9, (*size, 4)).astype(np.float32)
+    sample = rng.uniform(0.1, 2, (4, *size)).astype(np.float32)
+    agreed = wanted.agreed
+    left = runtime_recall.believed(mean, sample, agreed, Strips(1), np.empty_like(mean))
+    light, total = recall.believed(
+        planes(mean[..., :3]), planes(mean[..., 3]), torch.from_numpy(sample)[None], planes(agreed)
+    )
+    np.testing.assert_allclose(image(light), left[..., :3], rtol=1e-5)
+    np.testing.assert_allclose(image(total), left[..., 3], rtol=1e-5)
 
 
 @pytest.mark.parametrize("size", [(17, 17), (33, 18), (101, 75)])

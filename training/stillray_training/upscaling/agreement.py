@@ -84,7 +84,7 @@ def recalling(past: Remembered, frame: Mapping[str, Tensor], limit: float) -> Re
     ):
         last, known, own = (_pixels(planes) for planes in (output, light, color))
         seen = Compared(last, known, own, float(exposure.item()))
-        shares.append(rule.share(seen, strips, Workspace()))
+        shares.append(rule.share(seen, strips, Workspace()).agreed)
     recalled = torch.from_numpy(np.stack(shares)[:, None]).to(past.light)
     return replace(past, recalled=recalled)
 
