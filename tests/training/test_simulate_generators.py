@@ -118,6 +118,18 @@ def test_together_a_few_scenes_call_for_every_effect():
     assert called == set(EFFECTS)
 
 
+def test_a_still_life_whose_lamps_are_all_behind_its_backdrop_has_a_sky():
+    hidden = 0
+    for seed in range(100):
+        world = generate("tabletop", seed)
+        walls = [piece.mesh.vertices for piece in world.pieces if not piece.group]
+        walled = any(np.ptp(wall[:, 0]) > 2.9 and wall[:, 2].max() < -0.8 for wall in walls)
+        if walled and all(lamp.mesh.vertices[:, 2].mean() < -0.87 for lamp in world.lamps):
+            hidden += 1
+            assert "environment" in world.effects
+    assert hidden >= 2
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_cameras_stand_in_the_open_whatever_the_seed(mi, seed):
     # boxes fill most of the space: an analytic test says whether a camera is inside one

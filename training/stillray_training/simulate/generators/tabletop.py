@@ -12,16 +12,18 @@ from stillray_training.simulate.generators.things import KINDS, thing
 from stillray_training.simulate.mesh import box, quad, rotation, sheet
 from stillray_training.simulate.world import Sky, World
 
+_BACKDROP = -0.85  # m, along z
+
 
 def tabletop(seed: int) -> World:
     """A seeded still life around the origin, the table top at y = 0."""
     b = Builder([seed, 14])
     top = [b.wood(), b.stone(gloss=0.8), b.fabric(), b.plain(gloss=0.9)][b.rng.integers(4)]
     b.add(box([0, -0.02, 0], [2.4, 0.04, 1.6]), top)
-    if b.chance(0.75):
+    if walled := b.chance(0.75):
         # a backdrop that bends up behind, in front of which everything stands
         back = b.fabric() if b.chance(0.5) else b.wall()
-        b.block([0, 0.8, -0.85], [3.0, 1.7, 0.04], back)
+        b.block([0, 0.8, _BACKDROP], [3.0, 1.7, 0.04], back)
         if b.chance(0.4):
             b.block([-1.3, 0.8, 0], [0.04, 1.7, 1.7], back)
     if b.chance(0.35):
@@ -53,8 +55,10 @@ def tabletop(seed: int) -> World:
                 kind = b.pick(*favourites) if b.chance(0.6) else None
                 thing(b, lift(x, 0.002, z), scale=b.between(0.8, 1.5), kind=kind)
                 break
-    _studio(b)
+    lit = _studio(b, walled)
     indoors = b.chance(0.5)
+    if indoors and not lit:
+        indoors = False  # a window is all that lights it
     kind = b.pick("studio", "clear", "cloudy", p=[0.5, 0.25, 0.25])
     sky = Sky(kind=kind, seed=int(b.rng.integers(2**31)), radiance=b.between(0.1, 2))
     return finish(
@@ -65,8 +69,12 @@ def tabletop(seed: int) -> World:
     )  # fmt: skip
 
 
-def _studio(b: Builder) -> None:
-    """Soft boxes at the sides and above; perhaps a desk lamp or a string of lights."""
+def _studio(b: Builder, walled: bool) -> bool:
+    """Soft boxes at the sides and above; perhaps a desk lamp or a string of lights.
+
+    Whether any of them lights the table: soft boxes may all be behind the backdrop.
+    """
+    lit = False
     for _ in range(int(b.rng.integers(1, 4))):
         w, h = b.between(0.1, 0.7), b.between(0.1, 0.7)
         azimuth, height = b.between(0, 360), b.between(20, 85)
@@ -74,7 +82,11 @@ def _studio(b: Builder) -> None:
         face = quad([w / 2, -h / 2, 1.6], [-w, 0, 0], [0, h, 0])
         turn = rotation([0, 1, 0], azimuth) @ rotation([1, 0, 0], -height)
         b.shine(face.moved(turn), b.light_color(b.between(2, 25) / (np.pi * w * h)))
+        lit |= not walled or float(turn[2, 2]) * 1.6 > _BACKDROP
     if b.chance(0.25):
         lamps.desk_lamp(b, lift(b.between(-0.7, 0.7), 0, -0.4), b.between(0.3, 2))
+        lit = True
     if b.chance(0.2):
         lamps.fairy_lights(b, np.array([-1.0, 0.6, -0.6]), np.array([1.0, 0.5, -0.5]), 3)
+        lit = True
+    return lit
