@@ -51,12 +51,6 @@ def _peak(denoiser: stillray.Denoiser, before: int, after: int) -> float:
     return worst
 
 
-_TAKES_QUIET_SAMPLES = (
-    "what frames of many samples taught: a sample in a quiet picture is taken for light, and the "
-    "past, which says otherwise, is given up"
-)
-
-
 @case(
     "a firefly of 1e3 to 3e38 in the first frame",
     "largest pixel / the same without it",
@@ -92,7 +86,6 @@ def firefly_in_an_old_history(denoiser: stillray.Denoiser) -> float:
     "the same, eight frames later",
     "largest pixel / the same without it",
     4.5,
-    kpyr_5s=_TAKES_QUIET_SAMPLES,
 )
 def firefly_in_an_old_history_later(denoiser: stillray.Denoiser) -> float:
     return _peak(denoiser, 20, 8)
