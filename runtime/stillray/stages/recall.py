@@ -70,6 +70,7 @@ class Recalled:
     ----------
     agreed
         How far the last output agrees with the frame's samples: a share of what the past holds.
+        Where there is none it counts as black: hardly any, but of dark samples.
     output
         What the last output weighs in a picture, as a share of what a network says: ``agreed``, or
         less where the frame has many samples.
