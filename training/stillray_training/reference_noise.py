@@ -20,13 +20,15 @@ from rich.progress import track
 from rich.table import Table
 
 from stillray.cli import program
-from stillray.compare.display import display_exposure, tone_map
-from stillray.compare.metrics import flicker
+from stillray.compare import metrics
 from stillray_training.evaluate.cases import find_cases
 from stillray_training.evaluate.methods import Methods
 from stillray_training.peers.oidn import open_image_denoise
 
 Pair = tuple[np.ndarray, np.ndarray]
+
+_NAMES = ("psnr", "flicker")
+_EQUAL = 120.0  # dB at most: pictures that are the same
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,10 +41,8 @@ class Figures:
 
 def figures_of(images: Pair, references: Pair) -> Figures:
     """Those of two frames ``(h, w, 3)`` against two references, the last ones last."""
-    exposure = display_exposure(references[1])
-    shown, wanted = (tone_map(pair[1], exposure) for pair in (images, references))
-    error = float(np.square(shown - wanted).mean())
-    return Figures(psnr=-10 * np.log10(max(error, 1e-12)), flicker=flicker(*images, *references))
+    found = metrics.evaluate(images, references, names=_NAMES)
+    return Figures(psnr=min(found["psnr"], _EQUAL), flicker=found["flicker"])
 
 
 def smooth(references: Pair) -> Pair:
@@ -75,11 +75,12 @@ def main(
     peer: Annotated[list[str] | None, typer.Option(help="Repeatable; oidn-high if none.")] = None,
 ) -> None:
     """Print figures of sequences against references as rendered, and against smooth ones."""
+    metrics.require(_NAMES)
     table = Table("method", "PSNR", "smooth", "flicker", "smooth")
     for method, found in _rows(folder, model or ["kpyr-5"], peer or ["oidn-high"]).items():
         psnr, flickers = (
             [np.mean([getattr(pair[side], name) for pair in found]) for side in (0, 1)]
-            for name in ("psnr", "flicker")
+            for name in _NAMES
         )
         cells = (*(f"{value:.2f}" for value in psnr), *(f"{value:.4f}" for value in flickers))
         table.add_row(method, *cells)

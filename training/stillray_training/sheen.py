@@ -15,7 +15,7 @@ import numpy as np
 
 from stillray.frame import Frame
 from stillray_training.draws import log_uniform
-from stillray_training.fine_shapes import anywhere, ellipse, rectangle
+from stillray_training.fine_shapes import anywhere, ellipse, rectangle, seen_through
 from stillray_training.small_lamps import tint_of, usual_light
 
 _MOST = 3  # reflections on the surface
@@ -67,8 +67,7 @@ def draw_sheen(reference: np.ndarray, frame: Frame, rng: np.random.Generator) ->
         sides = (log_uniform(rng, _EDGES), log_uniform(rng, _EDGES))
         draw = ellipse if rng.random() < 0.5 else rectangle
         fine = draw(shape, anywhere(shape, rng), sides, rng.uniform(0, 180))
-        coverage = cv2.resize(fine, shape[::-1], interpolation=cv2.INTER_AREA)
-        profile += cv2.GaussianBlur(coverage, (0, 0), log_uniform(rng, _BLUR))
+        profile += cv2.GaussianBlur(seen_through(fine, None), (0, 0), log_uniform(rng, _BLUR))
     hit = np.argwhere(frame.depth > 0)
     facing = np.zeros(3, np.float32)
     if len(hit):

@@ -463,10 +463,12 @@ def crop(prepared: Prepared, tile: Tile, watch: Watch) -> Prepared:
             return np.ascontiguousarray(value[tile.outer])
         return value
 
-    values: dict[str, Any] = {f.name: cut(getattr(prepared, f.name)) for f in fields(prepared)}
+    # a tile's picture is made of what is believed; layers, which ask for more, are not cut in tiles
+    left: dict[str, Any] = {"believed": None, "agreed": None}
+    names = [field.name for field in fields(prepared) if field.name not in left]
+    values: dict[str, Any] = {name: cut(getattr(prepared, name)) for name in names}
     if prepared.sample is not None:
         values["sample"] = np.ascontiguousarray(prepared.sample[:, *tile.outer])
-    past = prepared.history
-    values["history"] = replace(past, mean=cut(past.mean), surface_guides=None)
+    values["history"] = replace(prepared.history, mean=cut(prepared.mean), surface_guides=None)
     values["counts"] = replace(prepared.counts, share=cut(prepared.counts.share))
-    return replace(prepared, **values)
+    return replace(prepared, **values, **left)

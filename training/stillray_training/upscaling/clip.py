@@ -77,12 +77,14 @@ def load_clip(sequence: Path, spec: ModelSpec, strips: Strips) -> Clip:
         assert frame.depth is not None
         frames.append(replace(frame, motion=dilated(frame.motion, frame.depth, strips)))
     height, width = (length * spec.decoder.scale for length in frames[0].shape)
-    references = [_reference(sequence, _number(path), (height, width)) for path in paths]
-    if references[-1] is None:
+
+    def reference(path: Path) -> Frame | None:
+        return _reference(sequence, _number(path), (height, width))
+
+    last, shared = reference(paths[-1]), _stands_still(record)
+    if last is None:
         raise InputError(f"{sequence}: the last frame must have a reference, it is missing")
-    shared = _stands_still(record)
-    if shared:
-        references = [references[-1]] * len(frames)
+    references = [*(last if shared else reference(path) for path in paths[:-1]), last]
     return clip_of(frames, references, spec, still=shared and _is_jittered(frames))
 
 

@@ -86,8 +86,9 @@ class ClipSampler:
             clip = through_window(clip, self._spec, rng)
         if clip.still and recipe.mean_share and rng.random() < recipe.mean_share:
             clip = of_several_samples(clip, count, rng)
-        ends = [at for at in range(count, len(clip.frames) + 1) if clip.references[at - 1]]
-        first = ends[rng.integers(len(ends))] - count
+        latest = len(clip.frames) - count
+        starts = [at for at in range(latest + 1) if clip.references[at + count - 1] is not None]
+        first = starts[rng.integers(len(starts))]
         height, width = clip.frames[0].shape
         top = int(rng.integers(height - self._side + 1))
         left = int(rng.integers(width - self._side + 1))
