@@ -25,6 +25,7 @@ from stillray_training import contact_sheets as sheets  # noqa: E402
 from stillray_training.bright_windows import draw_window  # noqa: E402
 from stillray_training.checkpoint import load_network  # noqa: E402
 from stillray_training.fine_shapes import FINE  # noqa: E402
+from stillray_training.heavy_tail import Tail  # noqa: E402
 from stillray_training.loss_log import LOG  # noqa: E402
 from stillray_training.machine import Batches, Machine  # noqa: E402
 from stillray_training.networks.fuse import fuse  # noqa: E402
@@ -33,10 +34,12 @@ from stillray_training.networks.repvgg import by_branches  # noqa: E402
 from stillray_training.simulate.sequence import RECORD, write  # noqa: E402
 from stillray_training.upscaling import (  # noqa: E402
     agreement,
+    clips,
     compare,
     contact_sheets,
     loop,
     price_list,
+    tails,
     time_in_turn,
     unroll,
 )
@@ -445,6 +448,50 @@ def test_windows_are_painted_into_a_share_of_still_patches(tmp_path):
         brightest = [sampler.batch(step)[0]["wanted"].max() for step in range(10)]
         lit = sum(light > 2 * plain[0]["wanted"].max() for light in brightest)
         assert lit >= 0.5 * expected if expected else lit == 0
+
+
+@pytest.mark.parametrize(("samples", "most", "shown"), [(16, 30, 30), (16, 1e5, 128), (1, 1e5, 8)])
+def test_a_tail_s_light_is_wanted_as_far_as_it_is_not_put_back(
+    tmp_path, monkeypatch, samples, most, shown
+):
+    clip = still_clip(tmp_path / "still-0-0", frames=1)
+    often = np.full((10, 12), 0.05, np.float32)
+    light = np.zeros((10, 12, 3), np.float32)  # of no account: it is the albedo's
+    monkeypatch.setattr(tails, "draw_tail", lambda _, rng: Tail(often, light, most))
+    monkeypatch.setattr(tails, "_SAMPLES", (samples, samples * (1 + 1e-9)))
+    spec = small()
+    spec = replace(spec, temporal=replace(spec.temporal, outlier_ratio=1e9))  # nothing bounded
+    albedo = np.linspace(0.2, 0.8, 10 * 12 * 3, dtype=np.float32).reshape(10, 12, 3)
+    first = replace(clip.frames[0], color=np.full((10, 12, 3), 0.5, np.float32), albedo=albedo)
+    large = np.repeat(np.repeat(albedo, 2, 0), 2, 1)
+    whole = replace(clip.references[0], color=np.full((20, 24, 3), 0.5, np.float32), albedo=large)
+    frames, references = [first] * 4096, [None, *[whole] * 4095]
+    made = tails.with_tail(
+        replace(clip, frames=frames, references=references), spec, np.random.default_rng(5)
+    )
+    assert made.references[0] is None
+    added = 0.05 * np.log(shown / 3) * 0.5
+    np.testing.assert_allclose(made.references[-1].color, 0.5 + added * large, rtol=1e-5)
+    total = np.mean([frame.color for frame in made.frames], axis=0) - first.color
+    if shown == most:  # so short a tail that means settle
+        assert total.sum() == pytest.approx((added * albedo).sum(), rel=0.02)
+    else:  # the rest is what some far above the picture carry
+        assert total.sum() > 1.5 * (added * albedo).sum()
+    lit = np.mean([(frame.color != first.color).any(-1) for frame in made.frames])
+    assert lit == pytest.approx(1 - np.exp(-0.05 * samples * (1 / 3 - 1 / most)), rel=0.05)
+
+
+def test_tails_are_painted_into_a_share_of_patches(tmp_path, monkeypatch):
+    clip = load_clip(render(tmp_path / "plane-0-0", frames=4), small(), Strips(1))
+    bright = [replace(frame, color=frame.color + 1000) for frame in clip.frames]
+    monkeypatch.setattr(clips, "with_tail", lambda clip, *_: replace(clip, frames=bright))
+    counts = []
+    for share in (0.0, 0.5, 1.0):
+        sampler = ClipSampler([clip], small(frames=3, batch=1, tail_share=share))
+        counts.append(sum(sampler.batch(step)[0]["shown"].min() > 300 for step in range(16)))
+    assert counts[0] == 0
+    assert 2 < counts[1] < 14
+    assert counts[2] == 16
 
 
 def test_where_nothing_moves_one_reference_is_enough(tmp_path):

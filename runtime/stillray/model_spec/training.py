@@ -74,8 +74,8 @@ class Training:
     # share of sequences into which thin shadows are painted that stay where they are in the frame,
     # of models of patches, for frames without a past, [0, 1]
     shadow_share: float = 0.0
-    # share of sequences that samples of a heavy tail are painted into, as of renderers that clamp
-    # none, of models of patches, [0, 1]
+    # share of sequences, or of patches of a recurrent model, that samples of a heavy tail are
+    # painted into, as of renderers that clamp none, [0, 1]
     tail_share: float = 0.0
     # share of sequences of whose samples a part stays and counts as much more, so that they are as
     # noisy as scenes that are harder to light, of models of patches, [0, 1]

@@ -19,6 +19,7 @@ from stillray_training.paint import blackened, repainted
 from stillray_training.quiet import fireflies
 from stillray_training.shade import moving_shade, switched
 from stillray_training.upscaling.clip import Clip, of_several_samples
+from stillray_training.upscaling.tails import with_tail
 from stillray_training.upscaling.windows import through_window
 
 _SWITCHED = 0.25  # share of the changes of light that are of all of it at once
@@ -86,6 +87,8 @@ class ClipSampler:
             clip = through_window(clip, self._spec, rng)
         if clip.still and recipe.mean_share and rng.random() < recipe.mean_share:
             clip = of_several_samples(clip, count, rng)
+        if recipe.tail_share and rng.random() < recipe.tail_share:
+            clip = with_tail(clip, self._spec, rng)
         latest = len(clip.frames) - count
         starts = [at for at in range(latest + 1) if clip.references[at + count - 1] is not None]
         first = starts[rng.integers(len(starts))]
