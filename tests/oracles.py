@@ -11,7 +11,7 @@ from stillray.families.feature_reconstruction import Rules
 from stillray.families.filter_layout import GaussianPlanes, level_layout, target_layout
 from stillray.model_spec.decoders import BilateralGrids, FusedKernels, PyramidKernels
 from stillray.model_spec.stages import Temporal
-from stillray.stages import lamps
+from stillray.stages import block_sums, lamps
 from stillray.stages import relief as stage
 
 
@@ -559,7 +559,7 @@ def _strewn(samples, picture, in_blocks, block: lamps.Block, at: tuple[int, int]
 def relief(image, prepared, window: float) -> np.ndarray:
     """`stages.relief`: the gain, block by block and pixel by pixel; arguments as it takes them."""
     height, width = image.shape[:2]
-    size, reach = stage.BLOCK, stage.FINE // 2
+    size, reach = block_sums.BLOCK, stage.FINE // 2
     normal = prepared.normal.astype(np.float64)
     fine, weight = np.zeros_like(normal), np.zeros((height, width))
     taken = np.zeros_like(weight)
@@ -614,7 +614,7 @@ def _around(image: np.ndarray, y: int, x: int, reach: int) -> np.ndarray:
 def _slope(fine, weight, taken, block, window: float) -> np.ndarray:
     """Of one block: pixels weighed by how far their block is, a Gaussian of block to block."""
     height, width = weight.shape
-    size, sigma = stage.BLOCK, window / stage.BLOCK
+    size, sigma = block_sums.BLOCK, window / block_sums.BLOCK
     reach = int(np.ceil(3 * sigma))
     line = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * sigma**2))
     line /= line.sum()
@@ -622,7 +622,7 @@ def _slope(fine, weight, taken, block, window: float) -> np.ndarray:
     near = [np.where(abs(far) <= reach, line[np.clip(far + reach, 0, 2 * reach)], 0)
             for far in (rows, columns)]  # fmt: skip
     pixels = weight * near[0][:, None] * near[1] / size**2
-    total = pixels.sum() + stage.LEAST_WEIGHT
+    total = pixels.sum() + block_sums.LEAST_WEIGHT
     share = pixels / total
     mean, normals = (share * taken).sum(), (share[..., None] * fine).sum(axis=(0, 1))
     noise = max((share * taken**2).sum() - mean**2, 0)

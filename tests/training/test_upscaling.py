@@ -458,7 +458,7 @@ def test_a_tail_s_light_is_wanted_as_far_as_it_is_not_put_back(
     often = np.full((10, 12), 0.05, np.float32)
     light = np.zeros((10, 12, 3), np.float32)  # of no account: it is the albedo's
     monkeypatch.setattr(tails, "draw_tail", lambda _, rng: Tail(often, light, most))
-    monkeypatch.setattr(tails, "_SAMPLES", (samples, samples * (1 + 1e-9)))
+    monkeypatch.setattr(tails, "SAMPLES", (samples, samples * (1 + 1e-9)))
     spec = small()
     spec = replace(spec, temporal=replace(spec.temporal, outlier_ratio=1e9))  # nothing bounded
     albedo = np.linspace(0.2, 0.8, 10 * 12 * 3, dtype=np.float32).reshape(10, 12, 3)

@@ -13,7 +13,6 @@ from stillray.model_spec import ModelSpec
 from stillray.model_spec.decoders import PyramidKernels
 from stillray.stages.accumulate import FILLED_WEIGHT
 from stillray.stages.prepare import LEAST_KEPT
-from stillray.stages.relief import DARKEST
 from stillray.stages.repair import MAX_DEPTH, MAX_MOTION
 from stillray_export.frame_graph.accumulation import (
     SampleCounts,
@@ -40,6 +39,7 @@ from stillray_export.frame_graph.rejection import Noise, compare, confidence
 from stillray_export.frame_graph.relief import relief_gain
 from stillray_export.frame_graph.repair import repair_feature, repair_motion, repair_radiance
 from stillray_export.frame_graph.reprojection import guide_planes, reproject
+from stillray_export.frame_graph.texture import texture_gain
 from stillray_export.frame_graph.windows import mirrored
 from stillray_training.decoders.boxes import pooled_box_mean
 from stillray_training.decoders.demodulate import divisor
@@ -342,8 +342,10 @@ class FrameGraph(nn.Module):
         if self.spec.relief.window:
             image = image * self._relief(frame, image)
         picture, exposure = image, self._exposure(frame)
+        if self.spec.texture.window:
+            picture = image * texture_gain(image, frame, self.spec, exposure)
         if self.spec.lamps.restored:
-            picture = restored(image, sample[:, :3] * frame.divisor, exposure)
+            picture = restored(picture, sample[:, :3] * frame.divisor, exposure)
         if not self.spec.rare_light.restored:
             return image, picture
         gain = rare_light_gain(picture, frame.radiance, exposure)
@@ -360,9 +362,8 @@ class FrameGraph(nn.Module):
     def _relief(self, frame: Prepared, image: Tensor) -> Tensor:
         """What the picture is multiplied by, see `stillray.stages.relief`."""
         radiance = frame.light * luminance(frame.divisor)
-        dark = DARKEST / self._exposure(frame)
-        window = self.spec.relief.window
-        return relief_gain(image, radiance, frame.normal, frame.depth, window, dark)
+        window, exposure = self.spec.relief.window, self._exposure(frame)
+        return relief_gain(image, radiance, frame.normal, frame.depth, window, exposure)
 
     def _exposure(self, frame: Prepared) -> Tensor:
         """As the stages have it: without albedo they divide by nothing, this graph by a black's."""

@@ -5,10 +5,13 @@ For hosts that hand over planes and keep nothing between frames, as Unreal's NNE
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor, nn
 
 from stillray.model_spec import ModelSpec
+from stillray.model_spec.stages import Texture
 from stillray_export.frame_graph.accumulation import SampleCounts
 from stillray_export.frame_graph.color_curve import ColorCurve, decoded, encoded
 from stillray_export.frame_graph.encode import Prepared
@@ -41,6 +44,8 @@ class SpatialGraph(nn.Module):
 
     def __init__(self, network: nn.Module, spec: ModelSpec, curve: ColorCurve) -> None:
         super().__init__()
+        # of one sample a pixel, as far as anybody says, no texture is put back
+        spec = replace(spec, texture=Texture())
         self.frame, self.curve = FrameGraph(network, spec), curve
 
     def forward(self, planes: Tensor) -> Tensor:

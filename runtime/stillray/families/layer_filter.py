@@ -68,6 +68,8 @@ class Shading:
     ----------
     gain : (h, w) float32 or None
         What it was multiplied by, see `stillray.stages.relief`; None where it was not.
+    texture : (h, w) float32 or None
+        What it was multiplied by then, see `stillray.stages.texture`; None where it was not.
     restored
         The light of small lamps then, and what was there before, see `stillray.stages.lamps`;
         None where nobody looked for it.
@@ -76,6 +78,7 @@ class Shading:
     """
 
     gain: np.ndarray | None = None
+    texture: np.ndarray | None = None
     restored: tuple[Restored, np.ndarray] | None = None
     rare: np.ndarray | None = None
 
@@ -141,7 +144,11 @@ class FilteredLayers:
             if self._plan.wants.previous_output:
                 output = previous_output.keep(image, self._strips)
             self.pasts[name] = LayerPast(mean=mean, output=output)
-        if self._shading.restored is not None:  # not remembered: as of the picture
+        if (
+            self._shading.texture is not None and layer.is_light
+        ):  # not remembered, as of the picture
+            multiply_all(image, self._shading.texture, self._strips)
+        if self._shading.restored is not None:  # nor are lamps
             restored, _ = self._shading.restored
             light, at = own_light(own.sample, own.mean), (restored.rows, restored.columns)
             # a lamp's light is gained, too: it comes before the gain, as in the picture

@@ -24,14 +24,14 @@ from stillray.families.views import VIEWS, View, mean_picture
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
 from stillray.models.steps import in_numbers
-from stillray.stages import features, lamps, previous_output, rare_light, relief
+from stillray.stages import features, lamps, previous_output, rare_light, relief, texture
 from stillray.stages.decide import TemporalPlan, Wants, decide
 from stillray.stages.means import Means
 from stillray.stages.plan import Plan, Stage
 from stillray.stages.prepare import prepare_planned
 from stillray.stages.put_back import put_back
 from stillray.stages.recall import Compared, Recall, believed
-from stillray.stages.sample_counts import SampleCounts
+from stillray.stages.sample_counts import SampleCounts, mean_samples
 from stillray.stages.state import Filterable, History, Prepared, filterable
 from stillray.timing import timed
 
@@ -164,12 +164,12 @@ class TemporalKernels(ABC):
         wants = self.wants(request)
         early = decide(frame, self.spec, past, context.strips, context.timings, wants)
         return KernelPlan(
-            stages=(*early.stages, *self._later(frame, request)),
+            stages=(*early.stages, *self._later(frame, request, early)),
             before_network=early,
             tiles=request.tiles,
         )
 
-    def _later(self, frame: Frame, request: Request) -> list[Stage]:
+    def _later(self, frame: Frame, request: Request, early: TemporalPlan) -> list[Stage]:
         modulates = frame.albedo is not None and not self.looks.previous_output
         why = "albedo is given" if frame.albedo is not None else "no albedo given"
         if frame.albedo is not None and not modulates:
@@ -186,6 +186,7 @@ class TemporalKernels(ABC):
             Stage("upscale", False, "the model's scale is 1"),
             Stage("remodulate", modulates, why),
             *self._relief(frame),
+            *self._texture(early),
             *put_back(self.spec.lamps, self.spec.rare_light),
             Stage("layers", layers > 0, f"{layers} other layers" if layers else "none are given"),
             Stage("keep_output", remembers, why_remember),
@@ -197,6 +198,18 @@ class TemporalKernels(ABC):
         if frame.normal is None:
             return [Stage("relief", False, "no normal given")]
         return [Stage("relief", True, "what was filtered away is shaded again, as normals tell")]
+
+    def _texture(self, early: TemporalPlan) -> list[Stage]:
+        if not self.spec.texture.window:
+            return []
+        if early.buffers.albedo is None:
+            return [Stage("texture", False, "no albedo given")]
+        before = None if early.past is None else early.past.frame_samples
+        samples = mean_samples(early.buffers.samples, before)
+        if samples is None or samples < texture.FEWEST_SAMPLES:
+            few = f"of {texture.FEWEST_SAMPLES:g} samples a pixel and more, where they are told"
+            return [Stage("texture", False, few)]
+        return [Stage("texture", True, "what was filtered away is put back, as albedo tells")]
 
     def step(self, plan: Plan, context: Context) -> Step:
         """Run a frame as it was planned; see `Family`."""
@@ -224,12 +237,20 @@ class TemporalKernels(ABC):
     ) -> Shading:
         """What is put back into a picture, which is changed."""
         gain: np.ndarray | None = None
+        textured: np.ndarray | None = None
         restored: tuple[lamps.Restored, np.ndarray] | None = None
         rare: np.ndarray | None = None
         strips, workspace = context.strips, context.workspace
+        weights: np.ndarray | None = None
         if plan.runs("relief"):
+            if plan.runs("texture"):
+                weights = workspace.array("surface weights", image.shape[:2])
+            window = self.spec.relief.window
             with timed(context.timings, "relief"):
-                gain = relief.shade(image, prepared, self.spec.relief.window, strips, workspace)
+                gain = relief.shade(image, prepared, window, strips, workspace, weights)
+        if plan.runs("texture"):
+            with timed(context.timings, "texture"):
+                textured = texture.put_back(image, prepared, self.spec, weights, strips, workspace)
         if plan.runs("lamps"):
             with timed(context.timings, "lamps"):
                 restored = lamps.restore(image, prepared, strips, workspace)
@@ -240,7 +261,7 @@ class TemporalKernels(ABC):
             if rare is not None and restored is not None:
                 found, before = restored
                 before *= found.of(rare)[..., None]
-        return Shading(gain=gain, restored=restored, rare=rare)
+        return Shading(gain=gain, texture=textured, restored=restored, rare=rare)
 
     def prepare(self, plan: KernelPlan, context: Context) -> tuple[Prepared, np.ndarray | None]:
         """A frame as it is before the network, and the previous output at its pixels."""
@@ -384,6 +405,8 @@ class TemporalKernels(ABC):
                 if shading.restored is not None:
                     restored, before = shading.restored
                     restored.take_back(output, before)
+                if shading.texture is not None:
+                    texture.take_back(output, shading.texture, context.strips)
         pasts = {} if layers is None else layers.pasts
         history = replace(prepared.history, output=output, layers=pasts)
         return State(shape=plan.before_network.shape, temporal=history)

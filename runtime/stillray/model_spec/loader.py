@@ -40,6 +40,7 @@ from stillray.model_spec.stages import (
     RareLight,
     Relief,
     Temporal,
+    Texture,
     ToldSamples,
     Transfer,
 )
@@ -84,6 +85,7 @@ class ModelSpec:
     training: Training
     # Models that were exported before it was known have none.
     relief: Relief = Relief()  # noqa: RUF009  a value that nobody can change
+    texture: Texture = Texture()  # noqa: RUF009  the same
     lamps: Lamps = Lamps()  # noqa: RUF009  the same
     rare_light: RareLight = RareLight()  # noqa: RUF009  the same
     prefilter: Prefilter = Prefilter()  # noqa: RUF009  the same
@@ -146,7 +148,8 @@ class ModelSpec:
         # edges are those of some contrast
         bounded = self.temporal.sharp_contrast > 0 and not family.weighs_past
         within("temporal.edge_blur", self.temporal.edge_blur, 0, 1e6 if bounded else 0)
-        within("relief.window", self.relief.window, 0, 1e3)
+        for name in ("relief", "texture"):
+            within(f"{name}.window", getattr(self, name).window, 0, 1e3)
         within("told_samples.share", self.told_samples.share, 1e-3, 1)
         if self.prefilter.albedo:
             _require_name(self.prefilter.albedo)
@@ -164,6 +167,7 @@ class ModelSpec:
 _UNSAID = {
     "differs": (),
     "relief": Relief(),
+    "texture": Texture(),
     "lamps": Lamps(),
     "rare_light": RareLight(),
     "prefilter": Prefilter(),

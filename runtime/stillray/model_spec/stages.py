@@ -32,6 +32,15 @@ class Relief:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Texture:
+    """What albedo tells of what was filtered away, put back, see `stillray.stages.texture`."""
+
+    # standard deviation of the window in which what was filtered away is explained, pixels; 0: it
+    # is left away
+    window: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Lamps:
     """Light of small lamps that is put back, see `stillray.stages.lamps`."""
 

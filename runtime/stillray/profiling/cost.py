@@ -201,6 +201,12 @@ def _each_pixel(family: TemporalKernels, frame: Frame) -> dict[str, tuple[float,
             3 * (WINDOW_SUM + 2) + (9 + EXP) + (WINDOW_SUM + 5) + 2 * 5 + 4 + 15 * 2 + 3 * 7 + 4,
             3 + albedo + surfaces + 1 + 3,
         ),
+        # an albedo smoothed, its luminance, inverse and window sum; the light's product and
+        # luminance, that of the picture, what was taken; six products and their sums, the gain
+        "texture": (
+            3 * 10 + 5 + 1 + WINDOW_SUM + 1 + 3 + 2 * 5 + 4 + 6 * 2 + 7 + 4 + 3,
+            albedo + albedo + 4 + 3 + 1 + 3,
+        ),
         "keep_output": (0, 3 + 4),
     }
 

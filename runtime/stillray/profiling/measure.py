@@ -30,8 +30,8 @@ ORDER = (
     "read", "prefilter", "inspect", "repair", "remove_outliers", "find_filter", "demodulate",
     "expose", "specular_motion", "surface_guides", "enlarge", "warp", "reproject", "reject_history",
     "accumulate", "accumulate_albedo", "resample_output", "regress", "encode", "network",
-    "filter", "reconstruct", "remodulate", "relief", "lamps", "rare_light", "layers", "learn",
-    "keep_output", "remember",
+    "filter", "reconstruct", "remodulate", "relief", "texture", "lamps", "rare_light", "layers",
+    "learn", "keep_output", "remember",
     FRAME, REST, "write",
 )  # fmt: skip
 _SETTLING = 2  # frames that still allocate: two histories change places

@@ -22,10 +22,18 @@ from stillray.arrays.bounds import at_most
 from stillray.arrays.gain import multiply
 from stillray.arrays.strips import STRIP_PIXELS, Strips, planes_of, with_halo
 from stillray.arrays.workspace import Workspace
+from stillray.stages.block_sums import (
+    BLOCK,
+    LEAST_WEIGHT,
+    NEIGHBOURS,
+    enlarged,
+    mean_of_blocks,
+    widened,
+    with_neighbours,
+)
 from stillray.stages.features import luminance
 from stillray.stages.state import Prepared
 
-BLOCK = 8  # pixels: sums are taken of blocks, and slopes found for those
 FINE = 5  # pixels, odd: from their mean over so many normals differ by their fine part
 #: How far a normal may be from those around to count 1/e: what is bent more is an edge between
 #: surfaces, of which each has its own light.
@@ -43,7 +51,6 @@ DOUBT = 0.5
 #: finer than pixels is noise in normals, which the light of the same samples shares.
 RESOLVED = (0.05, 0.35)
 LEAST_GAIN, MOST_GAIN = 0.4, 2.0
-LEAST_WEIGHT = 1e-6  # of a window, in pixels of one: where nothing was hit there is nothing to fit
 LEAST_EXPLAINED = 1e-12  # variance
 _BRIGHTEST = 1e37  # of which nothing that follows makes infinity
 _FITTED = 2048  # blocks whose lines are fitted at once: small, as they take many arrays
@@ -52,12 +59,15 @@ PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 # Weight, it with what was taken and with its square, with normals, with both, with pairs of
 # normals; normals with those beside and below
 _SUMS = 3 + 3 + 3 + len(PAIRS) + 1
-#: Pairs of neighbours, of a pixel of a block: its last row has none below.
-NEIGHBOURS = 2 - 1 / BLOCK
 
 
 def shade(
-    image: np.ndarray, prepared: Prepared, window: float, strips: Strips, workspace: Workspace
+    image: np.ndarray,
+    prepared: Prepared,
+    window: float,
+    strips: Strips,
+    workspace: Workspace,
+    weights: np.ndarray | None = None,
 ) -> np.ndarray:
     """Put a picture's relief back.
 
@@ -73,6 +83,8 @@ def shade(
         Where the work runs.
     workspace
         Where arrays lie from frame to frame.
+    weights : (h, w) float32, optional
+        Written: how far pixels lie on a surface that goes on, see `surface_weight`.
 
     Returns
     -------
@@ -86,18 +98,15 @@ def shade(
     fine = workspace.array("fine normals", (3, height, width))
 
     def add_up(blocks: slice) -> None:
-        _add_up(image, prepared, blocks, fine, sums[:, blocks], strips.workspace)
+        some = slice(BLOCK * blocks.start, min(BLOCK * blocks.stop, height))
+        weight = _add_up(image, prepared, some, fine[:, some], sums[:, blocks], strips.workspace)
+        if weights is not None:
+            weights[some] = weight
 
     strips.run(add_up, rows, columns, pixels=STRIP_PIXELS // BLOCK**2)
     slopes = _slopes(sums, window, strips, workspace)
-    size = (columns * BLOCK, rows * BLOCK)
-    found = workspace.array("slopes of relief", (3, size[1], size[0]))
-
-    def enlarge(planes: slice) -> None:
-        for small, large in zip(slopes[planes], found[planes], strict=True):
-            cv2.resize(small, size, dst=large, interpolation=cv2.INTER_LINEAR)
-
-    strips.run(enlarge, 3, size[0] * size[1])
+    found = workspace.array("slopes of relief", (3, BLOCK * rows, BLOCK * columns))
+    enlarged(slopes, strips, found)
     gain = workspace.array("gain of relief", (height, width))
 
     def tell(some: slice) -> None:
@@ -116,28 +125,24 @@ def shade(
 def _add_up(
     image: np.ndarray,
     prepared: Prepared,
-    blocks: slice,
-    fine: np.ndarray,
+    rows: slice,
+    weighed: np.ndarray,
     sums: np.ndarray,
     workspace: Workspace,
-) -> None:
-    """Means over rows of blocks into ``(16, rows, columns)``, and their weighed fine normals."""
-    rows = slice(BLOCK * blocks.start, min(BLOCK * blocks.stop, len(image)))
+) -> np.ndarray:
+    """Means over blocks of rows into ``(16, rows, columns)``, and their weighed fine normals.
+
+    The result is their weight.
+    """
     assert prepared.normal is not None
     detail = _fine_normals(prepared.normal, rows, workspace)
-    weight = _weight(detail, prepared.depth, rows, workspace)
+    weight = surface_weight(prepared.depth, rows, detail, workspace)
     taken = _taken(image, prepared, rows, workspace)
-    weighed = fine[:, rows]
     np.multiply(detail, weight, out=weighed)
-    shape = (BLOCK * sums.shape[1], BLOCK * sums.shape[2])
     inside, places = workspace.array("product", weight.shape), iter(sums)
 
     def mean(plane: np.ndarray) -> None:
-        if plane.shape != shape:  # beyond the frame nothing weighs anything
-            bottom, right = (size - own for size, own in zip(shape, plane.shape, strict=True))
-            plane = cv2.copyMakeBorder(plane, 0, bottom, 0, right, cv2.BORDER_CONSTANT, value=0)
-        target = next(places)
-        cv2.resize(plane, target.shape[::-1], dst=target, interpolation=cv2.INTER_AREA)
+        mean_of_blocks(plane, next(places))
 
     mean(weight)
     mean(np.multiply(weight, taken, out=inside))
@@ -148,20 +153,8 @@ def _add_up(
         mean(np.multiply(plane, taken, out=inside))
     for first, second in PAIRS:
         mean(np.multiply(weighed[first], detail[second], out=inside))
-    mean(_with_neighbours(weighed, inside, workspace))
-
-
-def _with_neighbours(weighed: np.ndarray, out: np.ndarray, workspace: Workspace) -> np.ndarray:
-    """Products of fine normals ``(3, h, w)`` with those to the right, and below in their block."""
-    below = workspace.array("below", out.shape)
-    out.fill(0)
-    below.fill(0)
-    for plane in weighed:
-        cv2.accumulateProduct(plane[:, :-1], plane[:, 1:], out[:, :-1])
-        cv2.accumulateProduct(plane[:-1], plane[1:], below[:-1])
-    below[BLOCK - 1 :: BLOCK] = 0  # of rows that another strip may have
-    out += below
-    return out
+    mean(with_neighbours(weighed, inside, workspace))
+    return weight
 
 
 def _fine_normals(normal: np.ndarray, rows: slice, workspace: Workspace) -> np.ndarray:
@@ -177,14 +170,26 @@ def _fine_normals(normal: np.ndarray, rows: slice, workspace: Workspace) -> np.n
     return planes[:, inside]
 
 
-def _weight(
-    detail: np.ndarray, depth: np.ndarray | None, rows: slice, workspace: Workspace
+def surface_weight(
+    depth: np.ndarray | None, rows: slice, detail: np.ndarray, workspace: Workspace
 ) -> np.ndarray:
-    """How far rows of pixels lie on a surface that goes on, [0, 1]; 0 where none was hit."""
-    weight = workspace.array("weight", detail.shape[1:])
-    square = workspace.array("square", weight.shape)
-    np.multiply(detail[0], detail[0], out=weight)
-    for plane in detail[1:]:
+    """How far rows of pixels lie on a surface that goes on, ``(rows, w)`` in [0, 1].
+
+    Parameters
+    ----------
+    depth : (h, w) float32 or None
+        Where nothing was hit, 0, the weight is 0.
+    rows
+        Of the frame.
+    detail : (n, rows, w) float32
+        What is small on such a surface, as the fine part of normals is; may have no planes.
+    workspace
+        Where the result lies.
+    """
+    shape = detail.shape[1:]
+    weight, square = (workspace.array(name, shape) for name in ("weight", "square"))
+    weight.fill(0)
+    for plane in detail:
         weight += np.multiply(plane, plane, out=square)
     weight *= np.float32(-1 / BENT**2)
     if depth is None:
@@ -220,30 +225,28 @@ def _taken(image: np.ndarray, prepared: Prepared, rows: slice, workspace: Worksp
         luminance(prepared.remodulation_albedo[rows], out=taken)
         with np.errstate(over="ignore"):
             taken *= prepared.luminance[rows]
-        at_most(taken, _BRIGHTEST, out=taken)
-    taken -= left
-    left += np.float32(DARKEST / prepared.history.exposure)
-    taken /= left
-    return np.clip(taken, -MOST_TAKEN, MOST_TAKEN, out=taken)
+    return relative(taken, left, prepared.history.exposure)
+
+
+def relative(light: np.ndarray, left: np.ndarray, exposure: float) -> np.ndarray:
+    """What was taken from light ``(h, w)``, by what is left of it, bounded; both are written to."""
+    at_most(light, _BRIGHTEST, out=light)
+    light -= left
+    left += np.float32(DARKEST / exposure)
+    light /= left
+    return np.clip(light, -MOST_TAKEN, MOST_TAKEN, out=light)
 
 
 def _slopes(sums: np.ndarray, window: float, strips: Strips, workspace: Workspace) -> np.ndarray:
     """Slopes of what was taken along normals, ``(3, rows, columns)``."""
     _, rows, columns = sums.shape
-    sigma = window / BLOCK
-    kernel = cv2.getGaussianKernel(2 * int(np.ceil(3 * sigma)) + 1, sigma)
     wide = workspace.array("wide sums of relief", sums.shape, np.float64)
     slopes = workspace.array("slopes of blocks", (3, rows, columns))
-
-    def widen(planes: slice) -> None:
-        for plane, target in zip(sums[planes], wide[planes], strict=True):
-            border = cv2.BORDER_CONSTANT  # beyond the frame is nothing
-            cv2.sepFilter2D(plane, cv2.CV_64F, kernel, kernel, dst=target, borderType=border)
 
     def fit(some: slice) -> None:
         slopes[:, some] = _fitted(wide[:, some], window)
 
-    strips.run(widen, _SUMS, rows * columns)
+    widened(sums, window, strips, wide)
     strips.run(fit, rows, columns, pixels=_FITTED)
     return slopes
 

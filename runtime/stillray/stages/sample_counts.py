@@ -63,17 +63,13 @@ class SampleCounts:
             Where the work runs; None for the caller's thread.
         """
         share: np.ndarray | None = None
-        mean = before
+        mean = mean_samples(samples, before)
         if isinstance(samples, np.ndarray):
+            strips = strips or Strips(1)
+            strips.watch.look()
             sampled = samples > 0  # NaN is not
-            if sampled.any():
-                strips = strips or Strips(1)
-                some = samples[sampled]
-                strips.watch.look()
-                mean = float(some.mean(dtype=np.float64))
+            if mean is not None and sampled.any():
                 share = _shares(samples, sampled, mean, strips)
-        elif samples is not None:
-            mean = samples
         scale = 1.0
         if before is not None and mean is not None:
             scale = min(max(before / mean, 1 / MOST_SCALE), MOST_SCALE)
@@ -124,6 +120,16 @@ class SampleCounts:
         """Bring frames like these pixels, ``(h, w)`` of some rows, to frames like the mean."""
         if self.share is not None:
             held *= self.share[rows]
+
+
+def mean_samples(samples: float | np.ndarray | None, before: float | None) -> float | None:
+    """Samples a pixel of a frame, as `SampleCounts` has them, see `SampleCounts.of`."""
+    if samples is None:
+        return before
+    if not isinstance(samples, np.ndarray):
+        return samples
+    some = samples[samples > 0]  # NaN is not
+    return float(some.mean(dtype=np.float64)) if some.size else before
 
 
 def _shares(samples: np.ndarray, sampled: np.ndarray, mean: float, strips: Strips) -> np.ndarray:

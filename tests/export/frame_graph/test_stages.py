@@ -25,8 +25,10 @@ from stillray.stages import (  # noqa: E402
     motion_dilation,
     previous_output,
     rare_light,
+    relief,
     repair,
     specular_motion,
+    texture,
 )
 from stillray.stages import recall as runtime_recall  # noqa: E402
 from stillray.stages import reproject as runtime_reproject  # noqa: E402
@@ -52,6 +54,7 @@ from stillray_export.frame_graph import (  # noqa: E402
 from stillray_export.frame_graph import lamps as graph_lamps  # noqa: E402
 from stillray_export.frame_graph import rare_light as graph_rare_light  # noqa: E402
 from stillray_export.frame_graph import repair as graph_repair  # noqa: E402
+from stillray_export.frame_graph import texture as graph_texture  # noqa: E402
 from stillray_export.frame_graph.moving import sequence  # noqa: E402
 from stillray_training.decoders.demodulate import divisor  # noqa: E402
 
@@ -449,6 +452,48 @@ def test_small_lamps_are_put_back(size):
     got = graph_lamps.restored(planes(albedo), planes(mean[..., :3] * albedo), scalar(0.5))
     assert np.any(wanted > 2 * albedo) or min(size) < 3
     np.testing.assert_allclose(image(got), wanted, rtol=1e-5)
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("samples", [0.0, 1.0, 2.0, 100.0])
+def test_texture_is_put_back(size, samples):
+    """Samples that nobody told are 0 here, and 1 to the network."""
+    rng = np.random.default_rng(11)
+    y, x = np.mgrid[: size[0], : size[1]]
+    albedo = np.empty((*size, 3), np.float32)
+    albedo[:] = 0.2 + 0.15 * np.sin(0.8 * x)[..., None] * np.cos(0.6 * y)[..., None]
+    albedo[size[0] // 2 :, :2] = 0
+    by = image(divisor(planes(albedo), SPEC.demodulate))
+    mean = np.ones((*size, 4), np.float32)
+    mean[..., :3] = rng.exponential(1, (*size, 1)) * albedo / by
+    picture = (0.3 * by).astype(np.float32)
+    normal = rng.normal(0, 0.2, (*size, 3)).astype(np.float32)
+    depth = rng.uniform(1, 1.02, size).astype(np.float32)
+    prepared = SimpleNamespace(
+        albedo=albedo,
+        depth=depth,
+        normal=normal,
+        luminance=mean[..., 0],
+        mean=mean,
+        remodulation_albedo=by,
+        counts=SimpleNamespace(mean=samples),
+        history=SimpleNamespace(exposure=0.5),
+    )
+    wanted, weights, workspace = picture.copy(), np.empty(size, np.float32), Workspace()
+    relief.shade(picture.copy(), prepared, SPEC.relief.window, Strips(1), workspace, weights)
+    if samples >= texture.FEWEST_SAMPLES:
+        texture.put_back(wanted, prepared, SPEC, weights, Strips(1), workspace)
+        assert np.abs(wanted / picture - 1).max() > 0.05 or min(size) < 3
+    frame_ = SimpleNamespace(
+        albedo=planes(albedo),
+        normal=planes(normal),
+        depth=planes(depth),
+        irradiance=planes(mean[..., :3]),
+        divisor=planes(by),
+        told=scalar(samples or 1),
+    )
+    got = graph_texture.texture_gain(planes(picture), frame_, SPEC, scalar(0.5))
+    np.testing.assert_allclose(image(got)[..., None] * picture, wanted, rtol=1e-5)
 
 
 @pytest.mark.parametrize("size", [*SIZES, (64, 80), (131, 86)])

@@ -15,7 +15,7 @@ from stillray_training.heavy_tail import Tail, draw_tail, frame_with, reference_
 from stillray_training.small_lamps import usual_light
 from stillray_training.upscaling.clip import Clip, clip_of
 
-_SAMPLES = (1.0, 32.0)  # a pixel of a frame: the more, the more of its pixels have a rare one
+SAMPLES = (1.0, 32.0)  # a pixel of a frame: the more, the more of its pixels have a rare one
 
 
 def with_tail(clip: Clip, spec: ModelSpec, rng: np.random.Generator) -> Clip:
@@ -40,7 +40,7 @@ def with_tail(clip: Clip, spec: ModelSpec, rng: np.random.Generator) -> Clip:
     shape = clip.frames[0].shape
     like = cv2.resize(shown.color, shape[::-1], interpolation=cv2.INTER_AREA)
     tail, usual = draw_tail(like, rng), np.float32(usual_light(like))
-    samples = log_uniform(rng, _SAMPLES)
+    samples = log_uniform(rng, SAMPLES)
     frames = [
         frame_with(frame, replace(tail, light=usual * _albedo(frame)), samples, rng)
         for frame in clip.frames
