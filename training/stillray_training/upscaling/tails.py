@@ -9,7 +9,6 @@ import numpy as np
 
 from stillray.frame import Frame
 from stillray.model_spec import ModelSpec
-from stillray.stages.rare_light import BANDS
 from stillray_training.draws import log_uniform
 from stillray_training.heavy_tail import Tail, draw_tail, frame_with, reference_with
 from stillray_training.small_lamps import usual_light
@@ -22,9 +21,8 @@ def with_tail(clip: Clip, spec: ModelSpec, rng: np.random.Generator) -> Clip:
     """A clip in which a part of the light comes as few samples that are far brighter than others.
 
     What they light is as bright as its albedo, which goes where surfaces go; how often they come
-    stays where it is in the frame. References are given no more of it than is shown by pixels that
-    are not far above the picture: the rest is put back after the filter
-    (`stillray.stages.rare_light`), and would be there twice.
+    stays where it is in the frame. References are given all of their mean: what a filter leaves of
+    it is put back afterwards (`stillray.stages.rare_light`) where there are hundreds of pixels.
 
     Parameters
     ----------
@@ -45,9 +43,8 @@ def with_tail(clip: Clip, spec: ModelSpec, rng: np.random.Generator) -> Clip:
         frame_with(frame, replace(tail, light=usual * _albedo(frame)), samples, rng)
         for frame in clip.frames
     ]
-    usable = replace(tail, most=min(tail.most, BANDS[0] * samples))
     references = [
-        None if reference is None else _reference(reference, usable, usual)
+        None if reference is None else _reference(reference, tail, usual)
         for reference in clip.references
     ]
     return clip_of(frames, references, spec, still=clip.still)
