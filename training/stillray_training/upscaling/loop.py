@@ -74,13 +74,15 @@ def sequence_loss(
             last = frame
             continue
         image, before, recalled = unrolled_step(network, frame, before, names, rules)
-        loss, known = frame_loss(image, before, frame, spec.training), frame["known"].flatten()
-        if recalled is not None and last is not None:
-            was = warped(last["wanted"], frame["positions"]) * frame["inside"]
+        known, earlier, last = frame["known"].flatten(), last, frame
+        if not known.any():  # of sequences with one reference, all but their last
+            continue
+        loss = frame_loss(image, before, frame, spec.training)
+        if recalled is not None and earlier is not None:
+            was = warped(earlier["wanted"], frame["positions"]) * frame["inside"]
             change = temporal_loss((image, recalled), (frame["wanted"], was), frame)
             weight = spec.training.steady_weight * (1 + progress)
-            loss = loss + weight * last["known"].flatten() * change
-        last = frame
+            loss = loss + weight * earlier["known"].flatten() * change
         total, count = total + known * loss, count + known
     return (total / count).mean()
 
