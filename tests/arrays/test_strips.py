@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillray.arrays.strips import Strips, interleave, planes_of, strips_of, with_halo
+from stillray.arrays.strips import (
+    LARGE_STRIP_PIXELS,
+    STRIP_PIXELS,
+    Strips,
+    interleave,
+    planes_of,
+    strips_of,
+    with_halo,
+)
 
 
 @given(
@@ -18,6 +26,24 @@ def test_strips_are_every_row_once_and_no_larger_than_asked(height, width, pixel
     rows = [row for strip in strips for row in range(strip.start, strip.stop)]
     assert rows == list(range(height))
     assert max(strip.stop - strip.start for strip in strips) <= max(pixels // width, 1)
+
+
+@pytest.mark.parametrize(("size", "count"), [((720, 1280), 4), ((180, 320), 1), ((2160, 3840), 32)])
+def test_large_strips_are_half_as_many(size, count):
+    large = strips_of(*size, LARGE_STRIP_PIXELS)
+    assert len(large) == count
+    assert len(strips_of(*size)) in (count, 2 * count)
+
+
+@pytest.mark.parametrize("pixels", [STRIP_PIXELS, LARGE_STRIP_PIXELS])
+@pytest.mark.parametrize("size", [(720, 1280), (721, 1279), (97, 86), (1, 1), (3, 400000)])
+def test_strips_of_whole_blocks_begin_at_even_rows(size, pixels):
+    strips, seen = Strips(1), []
+    strips.run_even(seen.append, *size, pixels=pixels)
+    assert all(rows.start % 2 == 0 for rows in seen)
+    assert [row for rows in seen for row in range(rows.start, rows.stop)] == list(range(size[0]))
+    rows = max(rows.stop - rows.start for rows in seen)
+    assert rows == 2 or rows * size[1] <= pixels or size[0] == 1
 
 
 @pytest.mark.parametrize("threads", [1, 3])

@@ -21,8 +21,12 @@ from stillray.arrays.workspace import Workspace
 # 512 KiB a float32 plane. Smaller strips stay in a nearer cache, but each has a price, more than a
 # millisecond where it runs through two hundred calls; and a filter reads rows beyond it.
 STRIP_PIXELS = 1 << 17
+#: Of passes of many short calls that seldom come back to an array: half as many wait for the
+#: interpreter's lock (a fifth of reprojection's time on two threads, docs/decisions.md). Filters,
+#: which do come back, take a tenth longer so.
+LARGE_STRIP_PIXELS = 2 * STRIP_PIXELS
 # What strips are cut to must not depend on the threads, so that pictures do not either.
-_SHARES = 8  # strips of a small frame, for as many threads
+_SHARES = 8  # strips of a small frame, for as many threads; of large ones half as many
 # Of less work, threads spend more on waiting for the interpreter's lock: a call of 15 microseconds
 # on each of two threads at once takes up to 30.
 _LEAST_PIXELS = 1 << 16
@@ -96,13 +100,20 @@ class Strips:
         # list() waits for all and raises what any of them raised
         return list(self._pool.map(work, strips))
 
-    def run_even(self, work: Callable[[slice], Result], height: int, width: int) -> list[Result]:
+    def run_even(
+        self,
+        work: Callable[[slice], Result],
+        height: int,
+        width: int,
+        *,
+        pixels: int = STRIP_PIXELS,
+    ) -> list[Result]:
         """`run`, with strips that begin at an even row: blocks of 2x2 pixels lie whole in one."""
 
         def strip(blocks: slice) -> Result:
             return work(slice(2 * blocks.start, min(2 * blocks.stop, height)))
 
-        return self.run(strip, -(-height // 2), width, pixels=STRIP_PIXELS // 2)
+        return self.run(strip, -(-height // 2), 2 * width, pixels=pixels)  # of two rows each
 
     def _watched(self, work: Callable[[slice], Result], strips: list[slice]) -> list[Result]:
         assert self._pool is not None
@@ -132,7 +143,8 @@ class Strips:
 def strips_of(height: int, width: int, pixels: int = STRIP_PIXELS) -> list[slice]:
     """The rows of each strip, from the top; the last may be lower than the others."""
     most_rows = max(pixels // width, 1)
-    count = max(-(-height // most_rows), min(height * width // _LEAST_PIXELS, _SHARES))
+    shares = max(_SHARES * STRIP_PIXELS // max(pixels, STRIP_PIXELS), 1)
+    count = max(-(-height // most_rows), min(height * width // _LEAST_PIXELS, shares))
     if count > 1:
         count = -(-count // _EVEN) * _EVEN
     rows = -(-height // count)

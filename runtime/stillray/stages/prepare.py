@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from stillray.arrays.strips import Strips, interleave, planes_of
+from stillray.arrays.strips import LARGE_STRIP_PIXELS, Strips, interleave, planes_of
 from stillray.arrays.workspace import Workspace
 from stillray.frame import Frame
 from stillray.model_spec.loader import ModelSpec
@@ -206,7 +206,7 @@ class _Pixels:
 
     def _run(self, work: Callable[[slice], None]) -> None:
         """Rows from an even one on, always the same ones: see `_past_of`."""
-        self._means.strips.run_even(work, *self._plan.shape)
+        self._means.strips.run_even(work, *self._plan.shape, pixels=LARGE_STRIP_PIXELS)
 
     def _past_of(self, rows: slice) -> np.ndarray | None:
         """The reprojected past of a strip, ``(4, rows, w)``: strips lie one after the other."""
