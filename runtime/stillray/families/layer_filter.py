@@ -144,11 +144,10 @@ class FilteredLayers:
             if self._plan.wants.previous_output:
                 output = previous_output.keep(image, self._strips)
             self.pasts[name] = LayerPast(mean=mean, output=output)
-        if (
-            self._shading.texture is not None and layer.is_light
-        ):  # not remembered, as of the picture
+        # what follows is not remembered, as of the picture
+        if self._shading.texture is not None and layer.is_light:
             multiply_all(image, self._shading.texture, self._strips)
-        if self._shading.restored is not None:  # nor are lamps
+        if self._shading.restored is not None:
             restored, _ = self._shading.restored
             light, at = own_light(own.sample, own.mean), (restored.rows, restored.columns)
             # a lamp's light is gained, too: it comes before the gain, as in the picture
