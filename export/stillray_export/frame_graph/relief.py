@@ -83,8 +83,12 @@ def _fitted(sums: Tensor, window: float) -> Tensor:
     products = [found - normal * taken for found, normal in zip(both, normals, strict=True)]
     slopes = stage.solved(matrix, products)
     explained = sum(slope * product for slope, product in zip(slopes, products, strict=True))
-    by_chance = 3 * noise / pixels
+    return torch.cat(slopes, 1) * belief(explained, 3 * noise / pixels, near)
+
+
+def belief(explained: Tensor, by_chance: Tensor, near: Tensor) -> Tensor:
+    """How far slopes are believed, see `stillray.stages.relief.believed`."""
     share = 1 - stage.DOUBT * by_chance / (explained + stage.LEAST_EXPLAINED)
     least, most = stage.RESOLVED
     resolved = (near / block_sums.NEIGHBOURS - least) / (most - least)
-    return torch.cat(slopes, 1) * share.clamp(0, 1) * resolved.clamp(0, 1)
+    return share.clamp(0, 1) * resolved.clamp(0, 1)

@@ -13,7 +13,7 @@ from stillray.stages import block_sums, relief
 from stillray.stages import texture as stage
 from stillray_export.frame_graph.block_sums import alike, averaged, widened
 from stillray_export.frame_graph.encode import Prepared
-from stillray_export.frame_graph.relief import relative, surface_weight
+from stillray_export.frame_graph.relief import belief, relative, surface_weight
 from stillray_export.frame_graph.windows import enlarged, mean_with_border, repeated
 from stillray_training.decoders.luminance import luminance
 
@@ -64,13 +64,10 @@ def _fitted(sums: Tensor, spec: ModelSpec) -> Tensor:
     weight, *means = sums.split(1, 1)
     weight = weight + block_sums.LEAST_WEIGHT
     taken, square, x, both, squares, near = (mean / weight for mean in means)
-    near = near / (block_sums.NEIGHBOURS * (squares + relief.LEAST_EXPLAINED))
+    near = near / (squares + relief.LEAST_EXPLAINED)
     noise = (square - taken.square()).clamp(min=0)
     pixels = 4 * math.pi * spec.texture.window**2 * weight
     together = both - x * taken
     ridge = noise / (pixels * stage.PRIOR**2) + stage.RIDGE
     slopes = together / (squares - x.square() + ridge)
-    by_chance = noise / pixels
-    share = 1 - relief.DOUBT * by_chance / (slopes * together + relief.LEAST_EXPLAINED)
-    least, most = relief.RESOLVED
-    return slopes * share.clamp(0, 1) * ((near - least) / (most - least)).clamp(0, 1)
+    return slopes * belief(slopes * together, noise / pixels, near)

@@ -268,8 +268,23 @@ def _fitted(sums: np.ndarray, window: float) -> np.ndarray:
     products = [both - mean * taken for both, mean in zip(products, means, strict=True)]
     slopes = np.stack(solved(matrix, products))
     explained = sum(slope * p for slope, p in zip(slopes, products, strict=True))
-    share = 1 - DOUBT * 3 * noise / pixels / (explained + LEAST_EXPLAINED)
-    slopes *= np.clip(share, 0, 1)
+    return believed(slopes, explained, 3 * noise / pixels, alike)
+
+
+def believed(
+    slopes: np.ndarray, explained: np.ndarray, by_chance: np.ndarray, alike: np.ndarray
+) -> np.ndarray:
+    """Slopes less what noise alone would explain, where what they are along is resolved; changed.
+
+    Parameters
+    ----------
+    slopes : (..., rows, columns)
+    explained, by_chance : (rows, columns)
+        Variance that they explain, and that noise alone would.
+    alike : (rows, columns)
+        Correlation of neighbours, see `RESOLVED`.
+    """
+    slopes *= np.clip(1 - DOUBT * by_chance / (explained + LEAST_EXPLAINED), 0, 1)
     least, most = RESOLVED
     slopes *= np.clip((alike - least) / (most - least), 0, 1)
     return slopes

@@ -33,7 +33,7 @@ from stillray.stages.block_sums import (
     with_neighbours,
 )
 from stillray.stages.features import luminance
-from stillray.stages.relief import DOUBT, LEAST_EXPLAINED, RESOLVED, relative, surface_weight
+from stillray.stages.relief import LEAST_EXPLAINED, believed, relative, surface_weight
 from stillray.stages.state import Prepared
 
 FEWEST_SAMPLES = 2.0  # a pixel of a frame, of which anything is put back
@@ -224,8 +224,4 @@ def _fitted(sums: np.ndarray, window: float) -> np.ndarray:
     pixels = 4 * np.pi * window**2 * weight
     together = both - x * taken
     slopes: np.ndarray = together / (squares - x**2 + noise / (pixels * PRIOR**2) + RIDGE)
-    share = 1 - DOUBT * noise / pixels / (slopes * together + LEAST_EXPLAINED)
-    slopes *= np.clip(share, 0, 1)
-    least, most = RESOLVED
-    slopes *= np.clip((alike - least) / (most - least), 0, 1)
-    return slopes
+    return believed(slopes, slopes * together, noise / pixels, alike)
