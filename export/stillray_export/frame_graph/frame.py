@@ -36,7 +36,7 @@ from stillray_export.frame_graph.recall import (
 )
 from stillray_export.frame_graph.reflections import follow_reflections, light_of
 from stillray_export.frame_graph.rejection import Noise, compare, confidence
-from stillray_export.frame_graph.relief import relief_gain
+from stillray_export.frame_graph.relief import relief_gain, surface_weight
 from stillray_export.frame_graph.repair import repair_feature, repair_motion, repair_radiance
 from stillray_export.frame_graph.reprojection import guide_planes, reproject
 from stillray_export.frame_graph.texture import texture_gain
@@ -339,11 +339,13 @@ class FrameGraph(nn.Module):
             tone = toned * filter_sharpness(frame.filter_spread) * exposure
         valid = frame.valid if frame.recalled is None else frame.valid * frame.recalled
         image = resolve(image, weights, frame.previous, valid, tone)
-        if self.spec.relief.window:
-            image = image * self._relief(frame, image)
-        picture, exposure = image, self._exposure(frame)
+        exposure, surface = self._exposure(frame), surface_weight(frame.normal, frame.depth)
+        if window := self.spec.relief.window:
+            radiance = frame.light * luminance(frame.divisor)
+            image = image * relief_gain(image, radiance, surface, window, exposure)
+        picture = image
         if self.spec.texture.window:
-            picture = image * texture_gain(image, frame, self.spec, exposure)
+            picture = image * texture_gain(image, frame, surface[1], self.spec, exposure)
         if self.spec.lamps.restored:
             picture = restored(picture, sample[:, :3] * frame.divisor, exposure)
         if not self.spec.rare_light.restored:
@@ -358,12 +360,6 @@ class FrameGraph(nn.Module):
         exposure = self._exposure(frame)
         lights = frame.previous, color
         return recalled_share(lights, worth, frame.valid, exposure, counts, self.options)
-
-    def _relief(self, frame: Prepared, image: Tensor) -> Tensor:
-        """What the picture is multiplied by, see `stillray.stages.relief`."""
-        radiance = frame.light * luminance(frame.divisor)
-        window, exposure = self.spec.relief.window, self._exposure(frame)
-        return relief_gain(image, radiance, frame.normal, frame.depth, window, exposure)
 
     def _exposure(self, frame: Prepared) -> Tensor:
         """As the stages have it: without albedo they divide by nothing, this graph by a black's."""

@@ -17,8 +17,7 @@ from stillray_training.decoders.luminance import luminance
 def relief_gain(
     image: Tensor,
     radiance: Tensor,
-    normal: Tensor,
-    depth: Tensor,
+    surface: tuple[Tensor, Tensor],
     window: float,
     exposure: Tensor,
 ) -> Tensor:
@@ -30,15 +29,15 @@ def relief_gain(
         That was filtered.
     radiance : (1, 1, h, w)
         Luminance of this frame.
-    normal, depth : (1, 3, h, w), (1, 1, h, w)
-        0 where there are none.
+    surface
+        Of `surface_weight`.
     window
         Pixels.
     exposure
         Of the picture, a scalar.
     """
     height, width = image.shape[2:]
-    fine, weight = surface_weight(normal, depth)
+    fine, weight = surface
     taken = relative(radiance, luminance(image), exposure)
     weighed = fine * weight
     pairs = [weighed[:, i : i + 1] * fine[:, j : j + 1] for i, j in stage.PAIRS]
@@ -57,7 +56,10 @@ def relative(light: Tensor, left: Tensor, exposure: Tensor) -> Tensor:
 
 
 def surface_weight(normal: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
-    """The fine part of normals, and how far pixels lie on a surface that goes on."""
+    """The fine part of normals, and how far pixels lie on a surface that goes on.
+
+    Both are ``(1, c, h, w)``; ``normal`` and ``depth`` are 0 where there are none.
+    """
     fine = normal - mean_with_border(normal, stage.FINE)
     bent = fine.square().sum(1, keepdim=True) / stage.BENT**2
     hit = (depth > 0).to(torch.float32)

@@ -13,12 +13,14 @@ from stillray.stages import block_sums, relief
 from stillray.stages import texture as stage
 from stillray_export.frame_graph.block_sums import alike, averaged, widened
 from stillray_export.frame_graph.encode import Prepared
-from stillray_export.frame_graph.relief import belief, relative, surface_weight
+from stillray_export.frame_graph.relief import belief, relative
 from stillray_export.frame_graph.windows import enlarged, mean_with_border, repeated
 from stillray_training.decoders.luminance import luminance
 
 
-def texture_gain(image: Tensor, frame: Prepared, spec: ModelSpec, exposure: Tensor) -> Tensor:
+def texture_gain(
+    image: Tensor, frame: Prepared, weight: Tensor, spec: ModelSpec, exposure: Tensor
+) -> Tensor:
     """What a picture is multiplied by, ``(1, 1, h, w)``; 1 where samples are few or not told.
 
     Parameters
@@ -27,13 +29,14 @@ def texture_gain(image: Tensor, frame: Prepared, spec: ModelSpec, exposure: Tens
         That was filtered.
     frame
         It was made of.
+    weight : (1, 1, h, w)
+        How far pixels lie on a surface that goes on.
     spec
         The model's.
     exposure
         Of the picture, a scalar.
     """
     height, width = image.shape[2:]
-    _, weight = surface_weight(frame.normal, frame.depth)
     none = (frame.albedo.amax(1, keepdim=True) <= spec.demodulate.black).to(torch.float32)
     reach = stage.BESIDE_NONE // 2
     weight = weight * (1 - F.max_pool2d(none, stage.BESIDE_NONE, stride=1, padding=reach))

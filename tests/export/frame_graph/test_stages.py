@@ -53,6 +53,7 @@ from stillray_export.frame_graph import (  # noqa: E402
 )
 from stillray_export.frame_graph import lamps as graph_lamps  # noqa: E402
 from stillray_export.frame_graph import rare_light as graph_rare_light  # noqa: E402
+from stillray_export.frame_graph import relief as graph_relief  # noqa: E402
 from stillray_export.frame_graph import repair as graph_repair  # noqa: E402
 from stillray_export.frame_graph import texture as graph_texture  # noqa: E402
 from stillray_export.frame_graph.moving import sequence  # noqa: E402
@@ -486,13 +487,12 @@ def test_texture_is_put_back(size, samples):
         assert np.abs(wanted / picture - 1).max() > 0.05 or min(size) < 3
     frame_ = SimpleNamespace(
         albedo=planes(albedo),
-        normal=planes(normal),
-        depth=planes(depth),
         irradiance=planes(mean[..., :3]),
         divisor=planes(by),
         told=scalar(samples or 1),
     )
-    got = graph_texture.texture_gain(planes(picture), frame_, SPEC, scalar(0.5))
+    _, weight = graph_relief.surface_weight(planes(normal), planes(depth))
+    got = graph_texture.texture_gain(planes(picture), frame_, weight, SPEC, scalar(0.5))
     np.testing.assert_allclose(image(got)[..., None] * picture, wanted, rtol=1e-5)
 
 
