@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -58,13 +59,13 @@ def test_scenes_of_all_kinds_are_built(tmp_path):
     assert kinds == {"cycles_room", "cycles_panelled", "cycles_table", "cycles_outdoors"}
 
 
-def scenes(folder, option, values, *, size, reference):
+def scenes(folder, option, values, *, size, reference, seed=MOVING):
     """The same scene with each value of an option: the folders of its files."""
     for value in values:
-        options = ["--first-seed", str(MOVING), "--count", "1", option, value]
+        options = ["--first-seed", str(seed), "--count", "1", option, value]
         done = render(folder / value, *options, "--size", size, "--reference", reference)
         assert done.returncode == 0, done.stderr
-        yield folder / value / f"{MOVING:05d}"
+        yield folder / value / f"{seed:05d}"
 
 
 def test_cameras_move_further_in_the_same_scene(tmp_path):
@@ -110,6 +111,46 @@ def test_lamps_shine_in_the_same_scene(tmp_path):
     assert 0 < lamps.mean() < 0.2  # small ones, before what was seen
     light = lit.color.mean(axis=2)
     assert light[lamps].max() > 3 * np.median(light)
+
+
+@pytest.mark.parametrize("effect", ["fur", "leaves"])
+def test_hair_and_leaves_stand_before_the_same_scene(tmp_path, effect):
+    both = list(scenes(tmp_path, f"--{effect}", ("0", "1"), size="32", reference="4", seed=4))
+    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
+    assert [record[effect] for record in records] == [False, True]
+    bare, grown = (read_exr(scene / "ref_0007.exr") for scene in both)
+    bare_depth, grown_depth = (np.where(each.depth > 0, each.depth, 50) for each in (bare, grown))
+    before = grown_depth < 0.98 * bare_depth
+    assert 0.01 < before.mean() < 0.95
+    assert (grown_depth > 1.02 * bare_depth).mean() < 0.05  # they hide it: little is further off
+    # neighbours have little in common: each is of other hairs
+    steps = [np.abs(np.diff(each.normal, axis=1)).mean(axis=2) for each in (bare, grown)]
+    inside = before[:, 1:] & before[:, :-1]
+    assert steps[1][inside].mean() > 1.5 * steps[0][inside].mean()
+
+
+def test_nights_are_dark_but_for_lamps(tmp_path):
+    both = list(scenes(tmp_path, "--night", ("0", "1"), size="32", reference="4", seed=6))
+    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
+    assert [record["night"] for record in records] == [False, True]
+    day, night = (read_exr(scene / "ref_0007.exr") for scene in both)
+    sky = (day.depth == 0) & (night.depth == 0)
+    assert sky.mean() > 0.1
+    light, dark = (each.color.mean(axis=2) for each in (day, night))
+    assert dark[sky].mean() < 0.2 * light[sky].mean()
+    assert dark.max() / dark[sky].mean() > 3 * light.max() / light[sky].mean()
+
+
+def test_haze_pales_what_lies_behind_it(tmp_path):
+    """Cycles counts a sample that haze has scattered as one of depth 0."""
+    both = list(scenes(tmp_path, "--haze", ("0", "1"), size="32", reference="16"))
+    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
+    assert [record["haze"] for record in records] == [False, True]
+    clear, hazy = (read_exr(scene / "ref_0007.exr") for scene in both)
+    inside = clear.depth > 0
+    assert (hazy.depth < 0.95 * clear.depth)[inside].mean() > 0.9
+    light = [cv2.blur(each.color.mean(axis=2), (5, 5))[inside] for each in (clear, hazy)]
+    assert light[1].std() / light[1].mean() < 0.9 * light[0].std() / light[0].mean()
 
 
 def test_what_is_out_of_focus_mixes_what_lies_behind_it(tmp_path):

@@ -4,19 +4,21 @@ Sequences go to ``<scene>/frame_0000.exr``, ..., stills to ``spp/<scene>/<sample
 references of both to ``<scene>/ref_0000.exr``, ...; files are as Blender writes them, multilayer.
 What is there already is kept. ``--noise-seed 500`` renders frames of sequences again, with noise of
 their own and nothing beside: second halves, for another folder, or with ``--samples 16`` frames as
-animations have them. What a camera does, its lens wide open or its shutter, is rendered where
-``--scene`` names it, for a folder of its own.
+animations have them. What a camera does, its lens wide open or its shutter, and what few scenes
+have (grass, a night, haze) is rendered where ``--scene`` names it, for folders of their own.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 import bpy
 
-from stillray_training.blender import interior, moving_shadow, objects
+from stillray_training.blender import hall, interior, meadow, moving_shadow, objects, street
 from stillray_training.blender.cycles import prepare, render
 from stillray_training.blender.lens import open_lens
 
@@ -111,6 +113,18 @@ def render_blurred_cube(folder: Path) -> None:
     render_references(folder, "blurred_cube", [3], 512)
 
 
+def render_effect(place: ModuleType, folder: Path) -> None:
+    """A sequence whose camera moves, whose last two frames have references, and stills."""
+    scene = place.__name__.rpartition(".")[2]
+    prepare((384, 216))
+    place.build()
+    place.move(_FRAMES)
+    render_sequence(folder, scene)
+    render_stills(folder, scene, _FRAMES - 1)
+    render_references(folder, scene, [_FRAMES - 1], 512)
+    render_references(folder, scene, [_FRAMES - 2], 384)
+
+
 SCENES: dict[str, Callable[[Path], None]] = {
     "moving_shadow": render_moving_shadow,
     "objects": render_objects,
@@ -121,6 +135,12 @@ CAMERA: dict[str, Callable[[Path], None]] = {
     "shallow_interior": render_shallow_interior,
     "blurred_cube": render_blurred_cube,
 }
+EFFECTS: dict[str, Callable[[Path], None]] = {
+    "meadow": partial(render_effect, meadow),
+    "street": partial(render_effect, street),
+    "hall": partial(render_effect, hall),
+}
+EVERY = {**SCENES, **CAMERA, **EFFECTS}
 SEQUENCES = {"moving_shadow": build_moving_shadow, "interior": build_interior}
 
 
@@ -131,8 +151,8 @@ def main() -> None:
     parser.add_argument(
         "--scene",
         action="append",
-        choices=[*SCENES, *CAMERA],
-        help="default: all but those of what a camera does",
+        choices=list(EVERY),
+        help="default: moving_shadow, objects and interior",
     )
     parser.add_argument("--noise-seed", type=int, help="frames of sequences alone, of this seed on")
     parser.add_argument("--samples", type=int, help="a pixel of those frames, 1 or more")
@@ -145,7 +165,7 @@ def main() -> None:
     folder = given.folder.resolve()
     if given.noise_seed is None:
         for name in given.scene or SCENES:
-            {**SCENES, **CAMERA}[name](folder)
+            EVERY[name](folder)
         return
     for name in given.scene or SEQUENCES:
         if name not in SEQUENCES:

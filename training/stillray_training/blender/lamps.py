@@ -22,7 +22,7 @@ def light_up(drawn: Random) -> None:
     for point, normal, far in view.places(drawn, drawn.randint(*_COUNT)):
         broad = far * view.width / size * log_uniform(drawn, *_BROAD)
         at = point + broad * normal
-        stuff = _shining(drawn)
+        stuff = shining(drawn)
         kind = drawn.choice(("ball", "plate", "tube"))
         if kind == "ball":
             ball(tuple(at), broad / 2, stuff)
@@ -38,7 +38,8 @@ def light_up(drawn: Random) -> None:
             rod(tuple(at - along / 2), tuple(at + along / 2), broad / 6, stuff)
 
 
-def _shining(drawn: Random) -> Material:
+def shining(drawn: Random) -> Material:
+    """A material that shines, of a colour and brightness by chance."""
     stuff = Material("lamp", drawn.choice(((0.0,) * 3, (0.8,) * 3, color(drawn))))
     red, green, blue = color(drawn) if drawn.random() < 0.3 else (1, drawn.uniform(0.6, 1), 0.7)
     stuff.surface.inputs["Emission Color"].default_value = (red, green, blue, 1)

@@ -138,10 +138,11 @@ def add(mesh: Any, material: Material | None, place: Point = (0, 0, 0)) -> Any:
     """A mesh in the scene."""
     if material:
         mesh.materials.append(material.data)
-    return _link(mesh, place)
+    return link(mesh, place)
 
 
-def _link(data: Any, place: Point) -> Any:
+def link(data: Any, place: Point = (0, 0, 0)) -> Any:
+    """An object of some data in the scene."""
     # not by operators, each of which updates every object
     thing = bpy.data.objects.new(data.name, data)
     thing.location = place
@@ -239,7 +240,7 @@ def light(kind: str, place: Point, target: Point, power: float, **settings: Any)
     """A lamp of ``kind`` (``AREA``, ``POINT``, ``SUN``) aimed at a point; W, or W/m^2 for SUN."""
     lamp = bpy.data.lights.new(kind, kind)
     lamp.energy = power
-    thing = _link(lamp, place)
+    thing = link(lamp, place)
     for name, value in settings.items():
         setattr(thing.data, name, value)
     aim(thing, target)
@@ -248,7 +249,7 @@ def light(kind: str, place: Point, target: Point, power: float, **settings: Any)
 
 def camera(place: Point, target: Point, lens: float) -> Any:
     """The scene's camera, ``lens`` in millimetres on a sensor of 36."""
-    thing = bpy.context.scene.camera = _link(bpy.data.cameras.new("camera"), place)
+    thing = bpy.context.scene.camera = link(bpy.data.cameras.new("camera"), place)
     thing.data.lens = lens
     aim(thing, target)
     return thing

@@ -11,15 +11,20 @@ import argparse
 import json
 import random
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 
 from stillray_training.blender.cycles import prepare, render
+from stillray_training.blender.fur import grow
 from stillray_training.blender.generated import KINDS, build
+from stillray_training.blender.haze import fill
 from stillray_training.blender.lamps import light_up
+from stillray_training.blender.leaves import hang
 from stillray_training.blender.lens import open_somewhere
+from stillray_training.blender.night import fall
 from stillray_training.blender.record import RECORD, TAKEN
 from stillray_training.blender.relief import emboss_all
 from stillray_training.blender.slender import scatter
@@ -34,12 +39,27 @@ _PANELLED = 0.4  # and of those, of rooms full of painted joinery
 _RELIEF = 0.0  # share whose surfaces have one color and relief
 _SLENDER = 0.0  # share with thin things and glasses stood about
 _LAMPS = 0.0  # share with small lamps in view
+_FUR = 0.0  # share with hair, fur and lawns on what is seen
+_LEAVES = 0.0  # share with foliage before what is seen
+_NIGHT = 0.0  # share at night, with many lamps
+_HAZE = 0.0  # share in haze
 _SHALLOW = 0.0  # share whose lens is wide open
 _BACKLIT = 0.0  # and of the others, of rooms that are looked at against their windows
 _MANY = 0.0  # share whose frames have many samples
 _MOTION = 1.0  # cameras move up to so many times as far
 _BOX = 0.5  # share with a box filter, as other renderers have
 _TABLES = 0.6  # and of the others that are things on a table
+#: What shares of scenes have besides, in the order in which it is built.
+EFFECTS: dict[str, Callable[[random.Random], None]] = {
+    "relief": emboss_all,
+    "slender": scatter,
+    "fur": grow,
+    "leaves": hang,
+    "night": fall,
+    "lamps": light_up,
+    "haze": fill,
+    "shallow": open_somewhere,
+}
 _MANY_SAMPLES = (8, 16, 32, 64)
 _NOISE = 0.01  # of a reference's pixel, at which it takes no more samples: Cycles' own
 
@@ -54,13 +74,13 @@ class Options:
         Width and height, pixels.
     reference
         Most samples a pixel of references.
-    rooms, panelled, backlit, box, relief, slender, lamps, shallow, many
+    rooms, panelled, backlit, box, relief, slender, fur, leaves, night, lamps, haze, shallow, many
         Shares, [0, 1]: of scenes that are rooms, of rooms full of painted joinery, of other rooms
         that are looked at against their windows, of scenes rendered with a box filter, of scenes
         most of whose surfaces have one color and relief that only normals show, of scenes with
-        thin things and glasses stood about, of scenes with small lamps in view, of scenes
-        seen through a lens that is wide open, and of scenes whose frames have 8 to 64 samples a
-        pixel where others have 1 to 4.
+        thin things and glasses stood about, with hair and lawns, with foliage, of scenes at
+        night, with small lamps in view, in haze, seen through a lens that is wide open, and of
+        scenes whose frames have 8 to 64 samples a pixel where others have 1 to 4.
     motion
         Cameras move 1 to this many times as far as usual, 1 or more.
     assets
@@ -80,7 +100,11 @@ class Options:
     box: float = _BOX
     relief: float = _RELIEF
     slender: float = _SLENDER
+    fur: float = _FUR
+    leaves: float = _LEAVES
+    night: float = _NIGHT
     lamps: float = _LAMPS
+    haze: float = _HAZE
     shallow: float = _SHALLOW
     many: float = _MANY
     motion: float = _MOTION
@@ -91,7 +115,8 @@ class Options:
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
         for name in (
-            "rooms", "panelled", "backlit", "box", "relief", "slender", "lamps", "shallow", "many",
+            "rooms", "panelled", "backlit", "box", "relief", "slender", "fur", "leaves", "night",
+            "lamps", "haze", "shallow", "many",
         ):  # fmt: skip
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be 0 to 1, got {getattr(self, name)}")
@@ -138,23 +163,7 @@ def render_scene(folder: Path, seed: int, options: Options) -> None:
     scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = drawn.random() < 0.5
     samples = drawn.choice((1, 1, 2, 4))
     used = build(kind, seed, options.assets, FRAMES, options.motion)
-    # drawn by themselves: without any, a seed gives the same scene
-    embossed = random.Random(f"relief {seed}")
-    relief = embossed.random() < options.relief
-    if relief:
-        emboss_all(embossed)
-    scattered = random.Random(f"slender {seed}")
-    slender = scattered.random() < options.slender
-    if slender:
-        scatter(scattered)
-    lit = random.Random(f"lamps {seed}")
-    lamps = lit.random() < options.lamps
-    if lamps:
-        light_up(lit)
-    focused = random.Random(f"shallow {seed}")
-    shallow = focused.random() < options.shallow
-    if shallow:
-        open_somewhere(focused)
+    effects = _add_effects(seed, options)
     counted = random.Random(f"many {seed}")
     if counted.random() < options.many:
         samples = counted.choice(_MANY_SAMPLES)
@@ -171,11 +180,21 @@ def render_scene(folder: Path, seed: int, options: Options) -> None:
         "reference_spp": options.reference, "height": size, "width": size, "used": used,
         "filter": scene.cycles.pixel_filter_type, "filter_width": scene.cycles.filter_width,
         "clamp": scene.cycles.sample_clamp_indirect,
-        "motion": options.motion, "relief": relief, "slender": slender, "lamps": lamps,
-        "shallow": shallow,
+        "motion": options.motion, **effects,
         "blender": bpy.app.version_string,
     }  # fmt: skip
     (folder / RECORD).write_text(json.dumps(record, indent=1))
+
+
+def _add_effects(seed: int, options: Options) -> dict[str, bool]:
+    """What the seed's scene has of `EFFECTS`; each is drawn by itself: without, it is the same."""
+    has = {}
+    for name, add in EFFECTS.items():
+        drawn = random.Random(f"{name} {seed}")
+        has[name] = drawn.random() < getattr(options, name)
+        if has[name]:
+            add(drawn)
+    return has
 
 
 def main() -> None:
@@ -204,6 +223,14 @@ def main() -> None:
     parser.add_argument(
         "--slender", type=float, default=usual.slender, help="with thin things, glasses, [0, 1]"
     )
+    parser.add_argument(
+        "--fur", type=float, default=usual.fur, help="with hair, fur and lawns, [0, 1]"
+    )
+    parser.add_argument("--leaves", type=float, default=usual.leaves, help="with foliage, [0, 1]")
+    parser.add_argument(
+        "--night", type=float, default=usual.night, help="at night, with many lamps, [0, 1]"
+    )
+    parser.add_argument("--haze", type=float, default=usual.haze, help="in haze, [0, 1]")
     parser.add_argument(
         "--lamps", type=float, default=usual.lamps, help="with small lamps in view, [0, 1]"
     )
