@@ -268,7 +268,6 @@ def lamp(denoiser: stillray.Denoiser) -> float:
     return float(1 - image[1:4, 14:18].mean() / 10)
 
 
-_FEW_SLATS = "hardly anything thin before anything so bright is in view of what it learned from"
 _MIXES = "a pixel is a mean of what is around: of the sky, a hundredth outshines a slat"
 
 
@@ -276,7 +275,6 @@ _MIXES = "a pixel is a mean of what is around: of the sky, a hundredth outshines
     "slats of 2.6 pixels before a sky of 300 times their light, 4 samples, one frame",
     "light of pixels that only slats cover / theirs",
     3,
-    kpyr_5s=_FEW_SLATS,
     nbg_2x1=_MIXES,
     nbg_2x3=_MIXES,
     nbg_7x3=_MIXES,

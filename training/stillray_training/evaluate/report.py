@@ -25,7 +25,8 @@ _TO_BEAT = (
 _HEAD = """# Quality on validation
 
 Written by
-`stillray-evaluate VALIDATION Blender=BLENDER --pixel-filter box --report docs/results.md`;
+`stillray-evaluate VALIDATION Blender=BLENDER Effects=EFFECTS --pixel-filter box
+--report docs/results.md`;
 [validation.md](validation.md) says what the folders hold and defines the metrics. No model was
 trained on these scenes; the weights of accumulation, the albedo floor of the specs, what is looked
 at in mirrors and how the past is interpolated were chosen on them, and the training of the kpyr
