@@ -12,7 +12,7 @@ from stillray_training.blender.parts import Material, box
 from stillray_training.blender.view import View
 
 _LOST = (0.05, 1.5)  # optical depth of what the camera usually sees
-_FAR = 40.0  # metres, half the box of what reaches to the sky
+_FAR = 40.0  # metres from the camera to where haze ends
 _BOUNCES = 4  # within it, at most
 
 

@@ -56,7 +56,7 @@ def _lamp(drawn: Random, at: Vector, broad: float) -> None:
 
 
 def _rain(drawn: Random) -> None:
-    """Surfaces that look up mirror: all of them, or where water stands."""
+    """Most materials become smoother, the more so in patches, where water stands."""
     for data in sorted(bpy.data.materials, key=lambda each: str(each.name)):
         surface = data.node_tree and data.node_tree.nodes.get("Principled BSDF")
         if not surface or drawn.random() < 0.3:
