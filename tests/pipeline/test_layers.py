@@ -265,9 +265,8 @@ def test_command_line_takes_layers_by_name(tmp_path):
     np.testing.assert_array_equal(np.stack([clean[n] for n in names], -1), expected)
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_irradiance_gets_no_texture_from_the_albedo(model):
-    # flat light, as a renderer gives it without the colour of surfaces, on a textured wall
+def flat_light(model):
+    """Flat light on a textured wall, filtered as irradiance and as what surfaces color."""
     with stillray.Denoiser(model) as denoiser:
         for frame in frames(3):
             frame = dataclasses.replace(frame, albedo=frame.albedo**2)  # of more contrast
@@ -275,6 +274,28 @@ def test_irradiance_gets_no_texture_from_the_albedo(model):
             layers = {"lit": flat, "plain": flat}
             _, layers = denoiser.denoise_layers(frame, layers, irradiance=["lit"])
     row, column = slice(15, 30), slice(20, 38)  # without the firefly, which is darkened
-    np.testing.assert_allclose(layers["lit"][row, column], 0.5, rtol=0.05)
-    off = {name: np.abs(layer[row, column] - 0.5).max() for name, layer in layers.items()}
-    assert off["plain"] > 3 * off["lit"]
+    return layers["lit"][row, column], layers["plain"][row, column]
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_irradiance_gets_no_texture_from_the_albedo(model):
+    lit, plain = flat_light(model)
+    np.testing.assert_allclose(lit, 0.5, rtol=0.05)
+    assert np.abs(plain - 0.5).max() > 3 * np.abs(lit - 0.5).max()
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        pytest.param(
+            model,
+            marks=pytest.mark.xfail(
+                model == "kpyr-5", strict=True, reason="0.049 since it learned fur: less is better"
+            ),
+        )
+        for model in MODELS
+    ],
+)
+def test_other_light_gets_texture_from_the_albedo(model):
+    _, plain = flat_light(model)
+    assert np.abs(plain - 0.5).max() > 0.05

@@ -68,6 +68,14 @@ def scenes(folder, option, values, *, size, reference, seed=MOVING):
         yield folder / value / f"{seed:05d}"
 
 
+def without_and_with(folder, effect, **settings):
+    """The same scene without an effect and with it: the folders of its files, which say so."""
+    both = list(scenes(folder, f"--{effect}", ("0", "1"), **settings))
+    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
+    assert [record[effect] for record in records] == [False, True]
+    return both
+
+
 def test_cameras_move_further_in_the_same_scene(tmp_path):
     """Frame 4 of 8 is where all motions pass; frames before and after are further apart."""
     usual, further = (
@@ -80,9 +88,7 @@ def test_cameras_move_further_in_the_same_scene(tmp_path):
 
 
 def test_relief_shows_in_normals_of_the_same_scene(tmp_path):
-    both = list(scenes(tmp_path, "--relief", ("0", "1"), size="32", reference="4"))
-    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
-    assert [record["relief"] for record in records] == [False, True]
+    both = without_and_with(tmp_path, "relief", size="32", reference="4")
     plain, embossed = (read_exr(scene / "ref_0007.exr") for scene in both)
     # edges aside, whose pixels hold what few samples met
     assert np.isclose(plain.depth, embossed.depth, rtol=0.01).mean() > 0.9
@@ -91,9 +97,7 @@ def test_relief_shows_in_normals_of_the_same_scene(tmp_path):
 
 
 def test_thin_things_stand_before_the_same_scene(tmp_path):
-    both = list(scenes(tmp_path, "--slender", ("0", "1"), size="32", reference="4"))
-    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
-    assert [record["slender"] for record in records] == [False, True]
+    both = without_and_with(tmp_path, "slender", size="32", reference="4")
     depths = [read_exr(scene / "ref_0007.exr").depth for scene in both]
     without, with_them = (np.where(depth > 0, depth, 50) for depth in depths)  # 0: the sky
     apart = with_them / without
@@ -103,9 +107,7 @@ def test_thin_things_stand_before_the_same_scene(tmp_path):
 
 
 def test_lamps_shine_in_the_same_scene(tmp_path):
-    both = list(scenes(tmp_path, "--lamps", ("0", "1"), size="32", reference="4"))
-    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
-    assert [record["lamps"] for record in records] == [False, True]
+    both = without_and_with(tmp_path, "lamps", size="32", reference="4")
     without, lit = (read_exr(scene / "ref_0007.exr") for scene in both)
     lamps = (lit.depth < 0.99 * without.depth) & (lit.depth > 0)
     assert 0 < lamps.mean() < 0.2  # small ones, before what was seen
@@ -115,9 +117,7 @@ def test_lamps_shine_in_the_same_scene(tmp_path):
 
 @pytest.mark.parametrize("effect", ["fur", "leaves"])
 def test_hair_and_leaves_stand_before_the_same_scene(tmp_path, effect):
-    both = list(scenes(tmp_path, f"--{effect}", ("0", "1"), size="32", reference="4", seed=4))
-    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
-    assert [record[effect] for record in records] == [False, True]
+    both = without_and_with(tmp_path, effect, size="32", reference="4", seed=4)
     bare, grown = (read_exr(scene / "ref_0007.exr") for scene in both)
     bare_depth, grown_depth = (np.where(each.depth > 0, each.depth, 50) for each in (bare, grown))
     before = grown_depth < 0.98 * bare_depth
@@ -130,9 +130,7 @@ def test_hair_and_leaves_stand_before_the_same_scene(tmp_path, effect):
 
 
 def test_nights_are_dark_but_for_lamps(tmp_path):
-    both = list(scenes(tmp_path, "--night", ("0", "1"), size="32", reference="4", seed=6))
-    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
-    assert [record["night"] for record in records] == [False, True]
+    both = without_and_with(tmp_path, "night", size="32", reference="4", seed=6)
     day, night = (read_exr(scene / "ref_0007.exr") for scene in both)
     sky = (day.depth == 0) & (night.depth == 0)
     assert sky.mean() > 0.1
@@ -143,9 +141,7 @@ def test_nights_are_dark_but_for_lamps(tmp_path):
 
 def test_haze_pales_what_lies_behind_it(tmp_path):
     """Cycles counts a sample that haze has scattered as one of depth 0."""
-    both = list(scenes(tmp_path, "--haze", ("0", "1"), size="32", reference="16"))
-    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
-    assert [record["haze"] for record in records] == [False, True]
+    both = without_and_with(tmp_path, "haze", size="32", reference="16")
     clear, hazy = (read_exr(scene / "ref_0007.exr") for scene in both)
     inside = clear.depth > 0
     assert (hazy.depth < 0.95 * clear.depth)[inside].mean() > 0.9
@@ -155,9 +151,7 @@ def test_haze_pales_what_lies_behind_it(tmp_path):
 
 def test_what_is_out_of_focus_mixes_what_lies_behind_it(tmp_path):
     """Of one sample a pixel, neighbours have seen other things; what is known well is softer."""
-    both = list(scenes(tmp_path, "--shallow", ("0", "1"), size="64", reference="64"))
-    records = [json.loads((scene / "rendered.json").read_text()) for scene in both]
-    assert [record["shallow"] for record in records] == [False, True]
+    both = without_and_with(tmp_path, "shallow", size="64", reference="64")
     steps = [
         [np.abs(np.diff(read_exr(scene / name).albedo, axis=1)).mean() for scene in both]
         for name in ("block_00.exr", "ref_0007.exr")
