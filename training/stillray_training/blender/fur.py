@@ -12,7 +12,7 @@ from mathutils import Vector
 
 from stillray_training.blender.log_uniform import log_uniform
 from stillray_training.blender.materials import color
-from stillray_training.blender.parts import Material, link
+from stillray_training.blender.parts import Material, hair
 from stillray_training.blender.view import View
 
 _THINGS = (2, 6)
@@ -36,7 +36,7 @@ def grow(drawn: Random) -> None:
             long = broad * log_uniform(drawn, *_LONG)
             paths = _paths(drawn, rng, roots, long * normals)
             thick = broad / size * log_uniform(drawn, *_THICK)
-            _curves(paths, thick, _stuff(drawn, long))
+            hair(paths, thick / 2, _stuff(drawn, long))
 
 
 def _roots(
@@ -85,17 +85,6 @@ def _paths(
     high = rng.uniform(0.4, 1.0, long.shape)
     steps = np.linspace(0, 1, _STEPS)[:, None]
     return roots[:, None] + (high * way)[:, None] * steps + (high * bend)[:, None] * steps**2
-
-
-def _curves(paths: np.ndarray, thick: float, stuff: Material) -> None:
-    data = bpy.data.hair_curves.new("hair")
-    data.add_curves([_STEPS] * len(paths))
-    data.attributes["position"].data.foreach_set("vector", paths.astype(np.float32).ravel())
-    radii = data.attributes.get("radius") or data.attributes.new("radius", "FLOAT", "POINT")
-    thinner = thick / 2 * np.linspace(1, 0.2, _STEPS)
-    radii.data.foreach_set("value", np.tile(thinner, len(paths)).astype(np.float32))
-    data.materials.append(stuff.data)
-    link(data)
 
 
 def _stuff(drawn: Random, long: float) -> Material:

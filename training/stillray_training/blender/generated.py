@@ -25,6 +25,7 @@ from stillray_training.blender.parts import (
     ball,
     box,
     camera,
+    key,
     lathe,
     light,
     primitive,
@@ -543,26 +544,15 @@ def _open(at: Vector, to: Vector) -> bool:
 
 def _move(place: Place, frames: int, further: float) -> None:
     """Key the camera, a thing or a lamp for frames -1 to ``frames``, in some scenes none."""
-    drawn = place.drawn
+    drawn, middle = place.drawn, frames / 2
     if drawn.random() < 0.65:
         eye = bpy.context.scene.camera
         step = further * Vector([drawn.gauss(0, 0.02) for _ in range(3)])
-        _key(eye, step, tuple(further * drawn.gauss(0, 0.006) for _ in range(3)), frames)
+        key(eye, step, frames, middle, [further * drawn.gauss(0, 0.006) for _ in range(3)])
     if place.things and drawn.random() < 0.4:
         for thing in drawn.sample(place.things, min(len(place.things), drawn.randint(1, 2))):
             step = Vector([drawn.gauss(0, 0.04), drawn.gauss(0, 0.04), abs(drawn.gauss(0, 0.02))])
-            _key(thing, step, (0, 0, drawn.gauss(0, 0.05)), frames)
+            key(thing, step, frames, middle, (0, 0, drawn.gauss(0, 0.05)))
     if place.lamps and drawn.random() < 0.15:
         lamp = drawn.choice(place.lamps)
-        _key(lamp, Vector([drawn.gauss(0, 0.1) for _ in range(3)]), (0, 0, 0), frames)
-
-
-def _key(thing: Any, step: Vector, turn: tuple[float, ...], frames: int) -> None:
-    start, angles = thing.location.copy(), thing.rotation_euler.copy()
-    for frame in range(-1, frames + 1):
-        thing.location = start + step * (frame - frames / 2)
-        thing.rotation_euler = tuple(
-            angle + part * (frame - frames / 2) for angle, part in zip(angles, turn, strict=True)
-        )
-        thing.keyframe_insert("location", frame=frame)
-        thing.keyframe_insert("rotation_euler", frame=frame)
+        key(lamp, Vector([drawn.gauss(0, 0.1) for _ in range(3)]), frames, middle)

@@ -13,6 +13,8 @@ from stillray_training.blender.parts import (
     ball,
     box,
     camera,
+    glowing,
+    key,
     lathe,
     light,
     wood,
@@ -49,8 +51,7 @@ def build() -> None:
     light("SUN", (-7, 3, 6), (2.5, 6, 0), 9.0, angle=math.radians(0.53), color=(1, 0.9, 0.72))
     light("SPOT", (4.6, 6.5, 4.3), (3.6, 7.4, 0.8), 400, spot_size=0.5, spot_blend=0.2,
           shadow_soft_size=0.03, color=(0.5, 0.7, 1))  # fmt: skip
-    bulb = Material("bulb", (0, 0, 0), Emission_Strength=60.0)
-    bulb.surface.inputs["Emission Color"].default_value = (1, 0.6, 0.3, 1)
+    bulb = glowing((1, 0.6, 0.3), 60.0)
     for y in (3.5, 6.5, 9.5):
         ball((5.6, y, 2.2), 0.05, bulb)
     background((0.5, 0.65, 1.0), 1.0)
@@ -59,11 +60,7 @@ def build() -> None:
 
 def move(frames: int) -> None:
     """Key the camera for frames -1 to ``frames``: down the hall and sideways."""
-    eye = bpy.context.scene.camera
-    start = eye.location.copy()
-    for frame in range(-1, frames + 1):
-        eye.location = start + Vector((-0.05, 0.05, 0.0)) * (frame - frames)
-        eye.keyframe_insert("location", frame=frame)
+    key(bpy.context.scene.camera, Vector((-0.05, 0.05, 0.0)), frames, stands=frames)
 
 
 def _windows(stone: Material) -> None:
@@ -104,9 +101,10 @@ def _columns() -> None:
         for x in (1.5, 4.9):
             lathe(profile, (x, y, 0), marble)
     cloth = Material("banner", (0.5, 0.04, 0.05), Roughness=0.9)
-    pattern = cloth.node("TexChecker", Vector=cloth.coordinates(), Scale=9.0)
-    pattern.inputs["Color1"].default_value = (0.5, 0.04, 0.05, 1)
-    pattern.inputs["Color2"].default_value = (0.75, 0.55, 0.15, 1)
+    pattern = cloth.node(
+        "TexChecker", Vector=cloth.coordinates(), Scale=9.0,
+        Color1=(0.5, 0.04, 0.05, 1), Color2=(0.75, 0.55, 0.15, 1),
+    )  # fmt: skip
     cloth.paint(pattern.outputs["Color"])
     for y in (3.3, 7.7):
         box((_WIDE - 0.12, y - 0.5, 1.2), (_WIDE - 0.1, y + 0.5, 3.8), cloth)

@@ -6,6 +6,7 @@ import math
 import random
 
 import bpy
+from mathutils import Vector
 
 from stillray_training.blender.parts import (
     Material,
@@ -13,6 +14,8 @@ from stillray_training.blender.parts import (
     ball,
     box,
     camera,
+    glowing,
+    key,
     lathe,
     light,
     rod,
@@ -50,13 +53,8 @@ def build() -> None:
 
 def move(frames: int) -> None:
     """Key the camera for frames -1 to ``frames``: sideways and turning, 2 to 6 pixels a frame."""
-    thing = bpy.context.scene.camera
-    start, turn = thing.location.copy(), thing.rotation_euler.copy()
-    for frame in range(-1, frames + 1):
-        thing.location = (start.x - 0.035 * frame, start.y + 0.02 * frame, start.z)
-        thing.rotation_euler = (turn.x, turn.y, turn.z - 0.006 * frame)
-        thing.keyframe_insert("location", frame=frame)
-        thing.keyframe_insert("rotation_euler", frame=frame)
+    eye = bpy.context.scene.camera
+    key(eye, Vector((-0.035, 0.02, 0.0)), frames, stands=0, turn=(0, 0, -0.006))
 
 
 def _skylight(place: Point, target: Point, size: tuple[float, float]) -> None:
@@ -234,14 +232,9 @@ def _lamp(place: tuple[float, float]) -> None:
     rod((x, y, 0.02), (x, y, 1.5), 0.009, brass)
     shade = Material("shade", (0.85, 0.75, 0.6), Roughness=0.9, Transmission_Weight=0.0)
     through = shade.node("BsdfTranslucent", Color=(0.85, 0.7, 0.5, 1))
-    mixed = shade.node("MixShader", Fac=0.5)
-    shade.links.new(shade.surface.outputs[0], mixed.inputs[1])
-    shade.links.new(through.outputs[0], mixed.inputs[2])
-    shade.links.new(mixed.outputs[0], shade.nodes["Material Output"].inputs["Surface"])
+    shade.mix(through, 0.5)
     lathe([(0.2, 1.38), (0.13, 1.68)], (x, y, 0), shade)
-    bulb = Material("bulb", (0, 0, 0))
-    bulb.surface.inputs["Emission Color"].default_value = (1.0, 0.72, 0.42, 1)
-    bulb.surface.inputs["Emission Strength"].default_value = 70.0
+    bulb = glowing((1.0, 0.72, 0.42), 70.0)
     ball((x, y, 1.54), 0.035, bulb)
 
 

@@ -58,8 +58,5 @@ def _stuff(drawn: Random) -> Material:
     leaf.paint(tint)
     if drawn.random() < 0.7:
         through = leaf.node("BsdfTranslucent", Color=tint)
-        mixed = leaf.node("MixShader", Fac=drawn.uniform(0.2, 0.6))
-        leaf.links.new(leaf.surface.outputs[0], mixed.inputs[1])
-        leaf.links.new(through.outputs[0], mixed.inputs[2])
-        leaf.links.new(mixed.outputs[0], leaf.nodes["Material Output"].inputs["Surface"])
+        leaf.mix(through, drawn.uniform(0.2, 0.6))
     return leaf

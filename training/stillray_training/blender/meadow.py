@@ -7,6 +7,7 @@ from random import Random
 from typing import Any
 
 import bpy
+import numpy as np
 from mathutils import Matrix, Vector
 
 from stillray_training.blender.parts import (
@@ -15,6 +16,8 @@ from stillray_training.blender.parts import (
     add,
     background,
     camera,
+    hair,
+    key,
     light,
     primitive,
     rod,
@@ -46,11 +49,7 @@ def build() -> None:
 
 def move(frames: int) -> None:
     """Key the camera for frames -1 to ``frames``: sideways, 3 pixels a frame in the middle."""
-    eye = bpy.context.scene.camera
-    start = eye.location.copy()
-    for frame in range(-1, frames + 1):
-        eye.location = start + Vector((0.028, 0.012, 0.0)) * (frame - frames)
-        eye.keyframe_insert("location", frame=frame)
+    key(bpy.context.scene.camera, Vector((0.028, 0.012, 0.0)), frames, stands=frames)
 
 
 def _blades(roots: list[Point], drawn: Random, size: float, material: Material) -> Any:
@@ -91,25 +90,17 @@ def _fur(drawn: Random, center: Point, radius: float) -> None:
     brown = Material("skin", (0.25, 0.14, 0.08), Roughness=0.8)
     mesh = primitive("uvsphere", u_segments=48, v_segments=24, radius=radius * 0.97)
     add(mesh, brown, center)
-    hair = Material("fur", (0.55, 0.36, 0.2), Roughness=0.4)
-    stripes = hair.node("TexWave", Vector=hair.coordinates(), Scale=2.2, Distortion=3.0)
-    hair.paint(hair.ramp(stripes.outputs[1], [(0.3, (0.6, 0.42, 0.24)), (0.6, (0.09, 0.06, 0.05))]))
-    curves = bpy.data.hair_curves.new("fur")
-    steps = 5
-    curves.add_curves([steps] * _HAIRS)
-    places, widths = [], []
+    fur = Material("fur", (0.55, 0.36, 0.2), Roughness=0.4)
+    stripes = fur.node("TexWave", Vector=fur.coordinates(), Scale=2.2, Distortion=3.0)
+    fur.paint(fur.ramp(stripes.outputs[1], [(0.3, (0.6, 0.42, 0.24)), (0.6, (0.09, 0.06, 0.05))]))
+    paths = []
     for _ in range(_HAIRS):
         way = Vector([drawn.gauss(0, 1) for _ in range(3)]).normalized()
         side = Vector([drawn.gauss(0, 0.35) for _ in range(3)]) + Vector((0, 0, -0.4))
         long = radius * drawn.uniform(0.15, 0.4)
-        for step in range(steps):
-            t = step / (steps - 1)
-            places += list(radius * way + long * t * way + long * t * t * side)
-            widths.append(0.0011 * (1 - 0.8 * t))
-    curves.attributes["position"].data.foreach_set("vector", places)
-    radii = curves.attributes.get("radius") or curves.attributes.new("radius", "FLOAT", "POINT")
-    radii.data.foreach_set("value", widths)
-    add(curves, hair, center)
+        steps = [step / 4 for step in range(5)]
+        paths.append([radius * way + long * t * way + long * t * t * side for t in steps])
+    hair(np.array(paths), 0.0011, fur, center)
 
 
 def _tree(drawn: Random, at: Point) -> None:
@@ -118,10 +109,7 @@ def _tree(drawn: Random, at: Point) -> None:
     rod(at, (x, y, z + 1.3), 0.07, bark)
     leaf = Material("leaf", (0.12, 0.3, 0.05), Roughness=0.35)
     through = leaf.node("BsdfTranslucent", Color=(0.25, 0.45, 0.06, 1))
-    mixed = leaf.node("MixShader", Fac=0.4)
-    leaf.links.new(leaf.surface.outputs[0], mixed.inputs[1])
-    leaf.links.new(through.outputs[0], mixed.inputs[2])
-    leaf.links.new(mixed.outputs[0], leaf.nodes["Material Output"].inputs["Surface"])
+    leaf.mix(through, 0.4)
     points: list[Vector] = []
     faces: list[tuple[int, ...]] = []
     for _ in range(18):

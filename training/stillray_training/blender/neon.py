@@ -11,6 +11,7 @@ import math
 from random import Random
 
 import bpy
+from mathutils import Vector
 
 from stillray_training.blender.parts import (
     Color,
@@ -20,6 +21,8 @@ from stillray_training.blender.parts import (
     ball,
     box,
     camera,
+    glowing,
+    key,
     light,
     rod,
     torus,
@@ -54,10 +57,7 @@ def build(seed: int, frames: int) -> None:
     moves = [(eye, (drawn.gauss(0, 0.015), drawn.uniform(0.0, 0.05), drawn.gauss(0, 0.008)))]
     moves += [(thing, (drawn.gauss(0, 0.03), drawn.gauss(0, 0.05), 0.0)) for thing in things[:2]]
     for thing, step in moves:
-        start = thing.location.copy()
-        for frame in range(-1, frames + 1):
-            thing.location = [a + b * frame for a, b in zip(start, step, strict=True)]
-            thing.keyframe_insert("location", frame=frame)
+        key(thing, Vector(step), frames, stands=0)
 
 
 def _vivid(drawn: Random, tints: list[float], value: float = 1.0) -> Color:
@@ -79,12 +79,6 @@ def _toon(color: Color, *, shiny: bool) -> Material:
     made.links.new(flat.outputs[0], both.inputs[1])
     made.links.new(spot.outputs[0], both.inputs[2])
     made.links.new(both.outputs[0], output)
-    return made
-
-
-def _glowing(color: Color, strength: float) -> Material:
-    made = Material("glow", (0, 0, 0), Emission_Strength=strength)
-    made.surface.inputs["Emission Color"].default_value = (*color, 1)
     return made
 
 
@@ -112,7 +106,7 @@ def _wall(drawn: Random) -> Point:
 
 def _tube(drawn: Random, tints: list[float]) -> None:
     x, y, z = _wall(drawn)
-    glow = _glowing(_vivid(drawn, tints), drawn.uniform(15, 60))
+    glow = glowing(_vivid(drawn, tints), drawn.uniform(15, 60))
     if drawn.random() < 0.3:
         ring = torus((x, y, z), drawn.uniform(0.15, 0.4), 0.02, glow)
         ring.rotation_euler = (0, math.pi / 2, 0)
@@ -125,7 +119,7 @@ def _tube(drawn: Random, tints: list[float]) -> None:
 def _sign(drawn: Random, tints: list[float]) -> None:
     """A box that shines in stripes or squares."""
     x, y, z = _wall(drawn)
-    made = _glowing(_vivid(drawn, tints), drawn.uniform(2, 8))
+    made = glowing(_vivid(drawn, tints), drawn.uniform(2, 8))
     kind = drawn.choice(("TexChecker", "TexBrick"))
     pattern = made.node(kind, Vector=made.coordinates(), Scale=drawn.uniform(4, 14))
     for name in ("Color1", "Color2"):

@@ -10,7 +10,15 @@ from mathutils import Vector
 from stillray_training.blender.lamps import shining
 from stillray_training.blender.log_uniform import log_uniform
 from stillray_training.blender.materials import color
-from stillray_training.blender.parts import Material, background, ball, box, rod
+from stillray_training.blender.parts import (
+    Material,
+    background,
+    ball,
+    box,
+    glowing,
+    principled,
+    rod,
+)
 from stillray_training.blender.view import View
 
 _LAMPS = (4, 30)
@@ -48,30 +56,25 @@ def _lamp(drawn: Random, at: Vector, broad: float) -> None:
         rod(tuple(at - along / 2), tuple(at + along / 2), broad / 6, stuff)
     else:
         x, y, z = (broad * drawn.uniform(0.3, 3) for _ in range(3))
-        pattern = stuff.node("TexBrick", Vector=stuff.coordinates(), Scale=4 / broad)
-        for name in ("Color1", "Color2"):
-            pattern.inputs[name].default_value = (*color(drawn), 1)
+        pattern = stuff.node(
+            "TexBrick", Vector=stuff.coordinates(), Scale=4 / broad,
+            Color1=(*color(drawn), 1), Color2=(*color(drawn), 1),
+        )  # fmt: skip
         stuff.vary("Emission Color", pattern.outputs["Color"])
         box((at.x - x, at.y - y, at.z - z), (at.x + x, at.y + y, at.z + z), stuff)
 
 
 def _rain(drawn: Random) -> None:
     """Most materials become smoother, the more so in patches, where water stands."""
-    for data in sorted(bpy.data.materials, key=lambda each: str(each.name)):
-        surface = data.node_tree and data.node_tree.nodes.get("Principled BSDF")
-        if not surface or drawn.random() < 0.3:
+    for made in principled():
+        if drawn.random() < 0.3:
             continue
-        made = Material.of(data)
         smooth, dry = drawn.uniform(0.02, 0.15), drawn.uniform(0.15, 0.6)
         water = made.node("TexNoise", Vector=made.coordinates(), Scale=drawn.uniform(0.4, 3))
-        rough = made.node("MapRange", Value=water.outputs[0])
-        for name, value in (
-            ("From Min", 0.4),
-            ("From Max", 0.6),
-            ("To Min", smooth),
-            ("To Max", dry),
-        ):
-            rough.inputs[name].default_value = value
+        rough = made.node(
+            "MapRange", Value=water.outputs[0],
+            From_Min=0.4, From_Max=0.6, To_Min=smooth, To_Max=dry,
+        )  # fmt: skip
         made.vary("Roughness", rough.outputs[0])
 
 
@@ -80,7 +83,6 @@ def _light_panes(drawn: Random) -> None:
         used = thing.data.materials if thing.type == "MESH" else ()
         panes = any(each and each.name.startswith("panes") for each in used)
         if panes and drawn.random() < _LIT:
-            lit = Material("lit", (0, 0, 0), Emission_Strength=log_uniform(drawn, 0.2, 8))
-            warm = (1, drawn.uniform(0.5, 0.9), drawn.uniform(0.2, 0.8), 1)
-            lit.surface.inputs["Emission Color"].default_value = warm
+            strength = log_uniform(drawn, 0.2, 8)
+            lit = glowing((1, drawn.uniform(0.5, 0.9), drawn.uniform(0.2, 0.8)), strength)
             thing.data.materials[0] = lit.data

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Self
 
 import bmesh
 import bpy
+import numpy as np
 from mathutils import Matrix, Vector
 
 Color = tuple[float, float, float]
@@ -82,10 +83,31 @@ class Material:
         """Take an output for any input of the surface."""
         self.links.new(value, self.surface.inputs[name])
 
+    def mix(self, other: Any, share: float) -> None:
+        """Let another shader, a node, have a share of the surface, [0, 1]."""
+        mixed = self.node("MixShader", Fac=share)
+        self.links.new(self.surface.outputs[0], mixed.inputs[1])
+        self.links.new(other.outputs[0], mixed.inputs[2])
+        self.links.new(mixed.outputs[0], self.nodes["Material Output"].inputs["Surface"])
+
     def emboss(self, height: Any, distance: float, strength: float = 1.0) -> None:
         """Relief that only normals show: bump of ``height``, ``distance`` metres deep."""
         bump = self.node("Bump", Height=height, Distance=distance, Strength=strength)
         self.links.new(bump.outputs["Normal"], self.surface.inputs["Normal"])
+
+
+def principled() -> Iterator[Material]:
+    """The scene's materials with a Principled BSDF, by name."""
+    for data in sorted(bpy.data.materials, key=lambda each: str(each.name)):
+        if data.node_tree and data.node_tree.nodes.get("Principled BSDF"):
+            yield Material.of(data)
+
+
+def glowing(color: Color, strength: float) -> Material:
+    """What shines, and scatters nothing; radiance is ``color`` times ``strength``."""
+    made = Material("glow", (0, 0, 0), Emission_Strength=strength)
+    made.surface.inputs["Emission Color"].default_value = (*color, 1)
+    return made
 
 
 def wood(name: str, dark: Color, light: Color, *, plank: float | None = None) -> Material:
@@ -138,11 +160,10 @@ def add(mesh: Any, material: Material | None, place: Point = (0, 0, 0)) -> Any:
     """A mesh in the scene."""
     if material:
         mesh.materials.append(material.data)
-    return link(mesh, place)
+    return _link(mesh, place)
 
 
-def link(data: Any, place: Point = (0, 0, 0)) -> Any:
-    """An object of some data in the scene."""
+def _link(data: Any, place: Point) -> Any:
     # not by operators, each of which updates every object
     thing = bpy.data.objects.new(data.name, data)
     thing.location = place
@@ -230,6 +251,58 @@ def lathe(profile: Sequence[tuple[float, float]], center: Point, material: Mater
     return add(mesh, material, center)
 
 
+def hair(paths: Any, radius: float, material: Material, place: Point = (0, 0, 0)) -> Any:
+    """Hair in the scene, a fifth as thick at its tip.
+
+    Parameters
+    ----------
+    paths : (hairs, steps, 3)
+        Points of each from root to tip, of a NumPy array.
+    radius
+        At the root, metres.
+    material
+        Its material.
+    place
+        What point 0 is.
+    """
+    count, steps, _ = paths.shape
+    data = bpy.data.hair_curves.new("hair")
+    data.add_curves([steps] * count)
+    data.attributes["position"].data.foreach_set("vector", paths.astype(np.float32).ravel())
+    radii = data.attributes.get("radius") or data.attributes.new("radius", "FLOAT", "POINT")
+    thinner = radius * np.linspace(1, 0.2, steps)
+    radii.data.foreach_set("value", np.tile(thinner, count).astype(np.float32))
+    return add(data, material, place)
+
+
+def key(
+    thing: Any, step: Vector, frames: int, stands: float, turn: Sequence[float] = (0, 0, 0)
+) -> None:
+    """Key a thing for frames -1 to ``frames``, which moves and turns evenly.
+
+    Parameters
+    ----------
+    thing
+        Where it stands in frame ``stands``.
+    step
+        From frame to frame, metres.
+    frames
+        How many will be rendered.
+    stands
+        That frame, which may lie between two.
+    turn
+        From frame to frame, radians about each axis.
+    """
+    start, angles = thing.location.copy(), thing.rotation_euler.copy()
+    for frame in range(-1, frames + 1):
+        thing.location = start + step * (frame - stands)
+        thing.rotation_euler = tuple(
+            angle + part * (frame - stands) for angle, part in zip(angles, turn, strict=True)
+        )
+        thing.keyframe_insert("location", frame=frame)
+        thing.keyframe_insert("rotation_euler", frame=frame)
+
+
 def aim(thing: Any, target: Point) -> None:
     """Turn a camera or light so that it looks at a point."""
     direction = Vector(target) - thing.location
@@ -240,7 +313,7 @@ def light(kind: str, place: Point, target: Point, power: float, **settings: Any)
     """A lamp of ``kind`` (``AREA``, ``POINT``, ``SUN``) aimed at a point; W, or W/m^2 for SUN."""
     lamp = bpy.data.lights.new(kind, kind)
     lamp.energy = power
-    thing = link(lamp, place)
+    thing = _link(lamp, place)
     for name, value in settings.items():
         setattr(thing.data, name, value)
     aim(thing, target)
@@ -249,7 +322,7 @@ def light(kind: str, place: Point, target: Point, power: float, **settings: Any)
 
 def camera(place: Point, target: Point, lens: float) -> Any:
     """The scene's camera, ``lens`` in millimetres on a sensor of 36."""
-    thing = bpy.context.scene.camera = link(bpy.data.cameras.new("camera"), place)
+    thing = bpy.context.scene.camera = _link(bpy.data.cameras.new("camera"), place)
     thing.data.lens = lens
     aim(thing, target)
     return thing

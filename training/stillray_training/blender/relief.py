@@ -9,10 +9,8 @@ from __future__ import annotations
 from random import Random
 from typing import Any
 
-import bpy
-
 from stillray_training.blender.log_uniform import log_uniform
-from stillray_training.blender.parts import Material
+from stillray_training.blender.parts import Material, principled
 
 _PLAIN = 0.6  # share of the surfaces that lose their pattern
 _SMOOTH = 0.15  # and of those that are left as they are
@@ -23,15 +21,14 @@ _KINDS = ("cells", "cells", "dents", "noise", "noise", "bricks", "waves")
 
 def emboss_all(drawn: Random) -> None:
     """Give most surfaces of the scene one color and relief."""
-    for data in sorted(bpy.data.materials, key=lambda each: str(each.name)):
-        surface = data.node_tree and data.node_tree.nodes.get("Principled BSDF")
-        if not surface or surface.inputs["Emission Strength"].default_value > 0:
+    for made in principled():
+        surface = made.surface
+        if surface.inputs["Emission Strength"].default_value > 0:
             continue
         if surface.inputs["Transmission Weight"].default_value > 0 or drawn.random() < _SMOOTH:
             continue
-        if any(node.type == "TEX_IMAGE" for node in data.node_tree.nodes):  # with its own relief
+        if any(node.type == "TEX_IMAGE" for node in made.nodes):  # with its own relief
             continue
-        made = Material.of(data)
         if drawn.random() < _PLAIN:
             for link in list(surface.inputs["Base Color"].links):
                 made.links.remove(link)

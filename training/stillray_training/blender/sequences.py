@@ -114,10 +114,7 @@ class Options:
         for name in ("size", "reference"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
-        for name in (
-            "rooms", "panelled", "backlit", "box", "relief", "slender", "fur", "leaves", "night",
-            "lamps", "haze", "shallow", "many",
-        ):  # fmt: skip
+        for name in ("rooms", "panelled", "backlit", "box", *EFFECTS, "many"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be 0 to 1, got {getattr(self, name)}")
         if not 1 <= self.motion <= 100:

@@ -15,6 +15,8 @@ from stillray_training.blender.parts import (
     ball,
     box,
     camera,
+    glowing,
+    key,
     rod,
 )
 
@@ -26,9 +28,11 @@ def build() -> None:
     drawn = Random(11)
     _asphalt()
     pavement = Material("pavement", (0.25, 0.24, 0.23), Roughness=0.5)
-    slabs = pavement.node("TexBrick", Vector=pavement.coordinates(), Scale=2.0)
-    for name, shade in (("Color1", 0.26), ("Color2", 0.2), ("Mortar", 0.08)):
-        slabs.inputs[name].default_value = (shade, shade * 0.97, shade * 0.93, 1)
+    shades = {
+        name: (shade, shade * 0.97, shade * 0.93, 1)
+        for name, shade in (("Color1", 0.26), ("Color2", 0.2), ("Mortar", 0.08))
+    }
+    slabs = pavement.node("TexBrick", Vector=pavement.coordinates(), Scale=2.0, **shades)
     pavement.paint(slabs.outputs["Color"])
     for side in (-1, 1):
         near, far = sorted((side * 2.6, side * _WIDE))
@@ -50,25 +54,15 @@ def build() -> None:
 
 def move(frames: int) -> None:
     """Key the camera for frames -1 to ``frames``: forward and sideways."""
-    eye = bpy.context.scene.camera
-    start = eye.location.copy()
-    for frame in range(-1, frames + 1):
-        eye.location = start + Vector((0.04, 0.08, 0.01)) * (frame - frames)
-        eye.keyframe_insert("location", frame=frame)
-
-
-def _glowing(color: Color, strength: float) -> Material:
-    made = Material("glow", (0, 0, 0), Emission_Strength=strength)
-    made.surface.inputs["Emission Color"].default_value = (*color, 1)
-    return made
+    key(bpy.context.scene.camera, Vector((0.04, 0.08, 0.01)), frames, stands=frames)
 
 
 def _asphalt() -> None:
     wet = Material("asphalt", (0.035, 0.035, 0.038))
     puddles = wet.node("TexNoise", Vector=wet.coordinates(), Scale=0.7, Detail=3.0)
-    rough = wet.node("MapRange", Value=puddles.outputs[0])
-    for name, value in (("From Min", 0.45), ("From Max", 0.6), ("To Min", 0.04), ("To Max", 0.4)):
-        rough.inputs[name].default_value = value
+    rough = wet.node(
+        "MapRange", Value=puddles.outputs[0], From_Min=0.45, From_Max=0.6, To_Min=0.04, To_Max=0.4
+    )
     wet.vary("Roughness", rough.outputs[0])
     grain = wet.node("TexNoise", Vector=wet.coordinates(), Scale=60.0, Detail=2.0)
     wet.emboss(grain.outputs[0], 0.004, 0.3)
@@ -83,10 +77,10 @@ def _house(drawn: Random, side: int, y: float) -> float:
     deep, high = drawn.uniform(4, 8), drawn.uniform(5, 11)
     tint = drawn.choice(((0.35, 0.14, 0.1), (0.4, 0.36, 0.3), (0.18, 0.2, 0.24), (0.5, 0.42, 0.25)))
     wall = Material("wall", tint, Roughness=0.85)
-    bricks = wall.node("TexBrick", Vector=wall.coordinates(rotation=(0, math.pi / 2, 0)), Scale=4.0)
-    bricks.inputs["Color1"].default_value = (*tint, 1)
-    bricks.inputs["Color2"].default_value = (*(0.7 * part for part in tint), 1)
-    bricks.inputs["Mortar"].default_value = (0.3, 0.29, 0.27, 1)
+    bricks = wall.node(
+        "TexBrick", Vector=wall.coordinates(rotation=(0, math.pi / 2, 0)), Scale=4.0,
+        Color1=(*tint, 1), Color2=(*(0.7 * part for part in tint), 1), Mortar=(0.3, 0.29, 0.27, 1),
+    )  # fmt: skip
     wall.paint(bricks.outputs["Color"])
     near, far = sorted((side * _WIDE, side * (_WIDE + 3)))
     box((near, y, 0), (far, y + deep, high), wall)
@@ -98,7 +92,7 @@ def _house(drawn: Random, side: int, y: float) -> float:
             u, v = y + 0.5 + 1.5 * column, 0.9 + 2.4 * row
             lit = drawn.random() < 0.4
             warm = (1, drawn.uniform(0.55, 0.9), drawn.uniform(0.25, 0.8))
-            pane = _glowing(warm, drawn.uniform(0.4, 4)) if lit else dark
+            pane = glowing(warm, drawn.uniform(0.4, 4)) if lit else dark
             inner, outer = sorted((front, front + side * 0.05))
             box((inner, u, v), (outer, u + 0.8, v + 1.3), pane)
             a, b = sorted((front - side * 0.04, front))
@@ -106,7 +100,7 @@ def _house(drawn: Random, side: int, y: float) -> float:
             box((a, u + 0.38, v), (b, u + 0.42, v + 1.3), frame)
             box((a, u, v + 0.84), (b, u + 0.8, v + 0.88), frame)
     if drawn.random() < 0.7:
-        sign = _glowing((drawn.random(), drawn.random(), drawn.random()), drawn.uniform(3, 10))
+        sign = glowing((drawn.random(), drawn.random(), drawn.random()), drawn.uniform(3, 10))
         mesh = bpy.data.curves.new("sign", "FONT")
         mesh.body = drawn.choice(("HOTEL", "CAFE", "24h", "BAR", "PHARMACY", "RAMEN"))
         mesh.size, mesh.extrude, mesh.bevel_depth = 0.7, 0.02, 0.01
@@ -123,7 +117,7 @@ def _street_lamp(side: int, y: float) -> None:
     x = side * 2.9
     rod((x, y, 0), (x, y, 3.6), 0.04, iron)
     rod((x, y, 3.6), (x - side * 0.7, y, 3.7), 0.025, iron)
-    ball((x - side * 0.7, y, 3.62), 0.09, _glowing((1, 0.7, 0.35), 90))
+    ball((x - side * 0.7, y, 3.62), 0.09, glowing((1, 0.7, 0.35), 90))
 
 
 def _car(x: float, y: float, tint: Color) -> None:
@@ -139,5 +133,5 @@ def _car(x: float, y: float, tint: Color) -> None:
         box(
             (x + across - 0.14, y - 0.02, 0.55),
             (x + across + 0.14, y, 0.68),
-            _glowing((1, 0.03, 0.02), 12),
+            glowing((1, 0.03, 0.02), 12),
         )
