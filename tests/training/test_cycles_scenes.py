@@ -12,6 +12,7 @@ from tests.training.test_cycles_sequences import in_blender, render
 
 AGAINST_WINDOWS = 7  # a seed whose camera sees two of them, with muntins
 MOVING = 3  # a seed whose camera moves
+FLOORED = 3  # and one that looks down at a floor
 
 pytestmark = in_blender
 
@@ -176,3 +177,45 @@ def test_a_motion_that_is_less_than_usual_is_told(tmp_path):
     done = render(tmp_path, "--motion", "0.5")
     assert done.returncode == 2
     assert "motion must be 1 to 100, got 0.5" in done.stderr
+
+
+def test_water_stands_over_floors_of_the_same_scene(tmp_path):
+    both = without_and_with(tmp_path, "water", size="32", reference="4", seed=FLOORED)
+    dry, wet = (read_exr(scene / "ref_0007.exr") for scene in both)
+    before = (wet.depth < 0.98 * dry.depth) & (dry.depth > 0)
+    assert 0.05 < before.mean() < 0.95
+    height = np.arange(32) + np.zeros((32, 1))
+    assert height.T[before].mean() > height.T[~before].mean()  # it lies below
+    # a floor's edges are where ripples bend the way to them, and no two pixels' ripples are alike
+    steps = [np.abs(np.diff(each.normal, axis=1)).mean(axis=2) for each in (dry, wet)]
+    inside = before[:, 1:] & before[:, :-1]
+    assert steps[1][inside].mean() > steps[0][inside].mean()
+
+
+def test_print_lies_on_surfaces_of_the_same_scene(tmp_path):
+    both = without_and_with(tmp_path, "print", size="64", reference="4")
+    plain, printed = (read_exr(scene / "ref_0007.exr") for scene in both)
+    changed = np.abs(printed.albedo - plain.albedo).max(axis=2) > 0.1
+    assert 0.02 < changed.mean() < 0.8
+    flat = np.isclose(plain.depth, printed.depth, rtol=0.05)
+    assert flat[changed].mean() > 0.7
+
+
+def test_light_enters_wax(tmp_path):
+    """What is lit and what is not are less far apart, in a scene of the same shapes."""
+    both = without_and_with(tmp_path, "wax", size="32", reference="32")
+    stone, wax = (read_exr(scene / "ref_0007.exr") for scene in both)
+    assert np.isclose(stone.depth, wax.depth, rtol=0.02).mean() > 0.9
+    light = [
+        (each.color / np.maximum(each.albedo, 0.05)).mean(axis=2)[stone.depth > 0]
+        for each in (stone, wax)
+    ]
+    assert not np.allclose(light[0], light[1], rtol=0.1, atol=0.02)
+
+
+def test_smoke_hides_a_part_of_the_same_scene(tmp_path):
+    """Cycles counts a sample that smoke has scattered as one of depth 0."""
+    both = without_and_with(tmp_path, "smoke", size="32", reference="16")
+    clear, smoky = (read_exr(scene / "ref_0007.exr") for scene in both)
+    hidden = smoky.depth < 0.9 * clear.depth
+    assert 0.01 < hidden.mean() < 0.9

@@ -608,7 +608,7 @@ def test_the_command_trains_every_family_but_the_one_that_learns_by_itself(model
     "share",
     [
         "lamp_share", "window_share", "shadow_share", "tail_share", "defocus_share", "glint_share",
-        "texture_share", "leaf_share", "mixture_share", "sheen_share",
+        "texture_share", "leaf_share", "page_share", "mixture_share", "sheen_share",
     ],
 )  # fmt: skip
 def test_what_is_painted_is_the_same_with_the_blocks_of_a_sequence_and_without(data, small, share):

@@ -8,20 +8,12 @@ that has seen stripes and tiles alone takes both for noise, and smears the petal
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
 from stillray_training.draws import log_uniform
-from stillray_training.fine_shapes import (
-    FINE,
-    anywhere,
-    ellipse,
-    rectangle,
-    seen_through,
-    softer_than_a_box,
-)
+from stillray_training.fine_shapes import FINE, anywhere, ellipse, rectangle
+from stillray_training.met_textures import WHITE, MetTexture, in_bytes
 
 _SMALLEST, _LARGEST = (0.3, 3.0), 32.0  # radii, pixels: the smallest of a texture; the largest
 _STRETCHED = (1.0, 8.0)  # width by height: wood, and floors that are looked along
@@ -32,49 +24,11 @@ _COVERED = 2.5  # times, by leaves that are drawn
 _MOST = 20_000  # leaves
 _WHOLE = 0.5  # share of the textures that fill the picture
 _EDGES = (16.0, 128.0)  # pixels, of the others
-_WHITE = 255
 
 
-@dataclass(frozen=True, eq=False)
-class Leaves:
-    """A texture, finer than pixels.
-
-    Attributes
-    ----------
-    fine : (FINE h, FINE w, 3) uint8
-        What an albedo is multiplied by, times 255.
-    spread
-        Standard deviation of the pixel filter, in pixels; None for that of a box.
-    """
-
-    fine: np.ndarray
-    spread: float | None
-
-    @property
-    def mean(self) -> np.ndarray:
-        """Of endlessly many samples, ``(h, w, 3)`` float32 in (0, 1]."""
-        planes = (plane.astype(np.float32) / _WHITE for plane in cv2.split(self.fine))
-        return np.dstack([seen_through(plane, self.spread) for plane in planes])
-
-    def met(self, samples: float, rng: np.random.Generator) -> np.ndarray:
-        """The mean of so many samples a pixel, 1 or more, ``(h, w, 3)`` float32."""
-        height, width = shape = self.fine.shape[:2]
-        pixels = np.indices((height // FINE, width // FINE))
-        total = np.zeros((*pixels.shape[1:], 3), np.float32)
-        count = max(round(samples), 1)
-        for _ in range(count):
-            at = ((pixels + self._within(pixels.shape, rng)) * FINE).astype(int)
-            rows, columns = (np.clip(at[axis], 0, shape[axis] - 1) for axis in (0, 1))
-            total += self.fine[rows, columns]
-        return total / np.float32(_WHITE * count)
-
-    def _within(self, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
-        """Where samples fall, from the top left of their pixels."""
-        within, softer = rng.random(shape), softer_than_a_box(self.spread)
-        return within + softer * rng.normal(size=shape) if softer else within
-
-
-def draw_leaves(shape: tuple[int, int], spread: float | None, rng: np.random.Generator) -> Leaves:
+def draw_leaves(
+    shape: tuple[int, int], spread: float | None, rng: np.random.Generator
+) -> MetTexture:
     """Leaves all over a picture, or on a thing in it.
 
     Parameters
@@ -82,21 +36,21 @@ def draw_leaves(shape: tuple[int, int], spread: float | None, rng: np.random.Gen
     shape
         Height and width, pixels.
     spread
-        As `Leaves` has it.
+        As `MetTexture` has it.
     rng
         Draws sizes, stretch, colours and the place.
     """
     ground = rng.uniform(*_BRIGHTEST, 3)
     contrast = log_uniform(rng, _CONTRAST)
     fine = np.empty([FINE * size for size in shape] + [3], np.uint8)
-    fine[:] = _bytes(ground * (1 - contrast / 2))
+    fine[:] = in_bytes(ground * (1 - contrast / 2))
     stretch = np.sqrt(log_uniform(rng, _STRETCHED))
     turned, unruly = rng.uniform(0, 180), rng.choice([2.0, 180.0])
     radii = _radii(shape, rng)
     places = rng.uniform(0, 1, (len(radii), 2)) * shape[::-1]
     angles = turned + unruly * rng.uniform(-0.5, 0.5, len(radii))
     darker = 1 - contrast * rng.random((len(radii), 1))
-    colours = _bytes(ground * darker + _COLOURED * contrast * rng.normal(size=(len(radii), 3)))
+    colours = in_bytes(ground * darker + _COLOURED * contrast * rng.normal(size=(len(radii), 3)))
     for place, radius, angle, colour in zip(places, radii, angles, colours, strict=True):
         sides = 2 * FINE * radius * np.array([stretch, 1 / stretch])
         box = (tuple(FINE * place), tuple(np.maximum(sides, 1)), float(angle))
@@ -105,8 +59,8 @@ def draw_leaves(shape: tuple[int, int], spread: float | None, rng: np.random.Gen
         draw = ellipse if rng.random() < 0.5 else rectangle
         sides = (log_uniform(rng, _EDGES), log_uniform(rng, _EDGES))
         thing = draw(shape, anywhere(shape, rng), sides, rng.uniform(0, 180))
-        fine[thing == 0] = _WHITE
-    return Leaves(fine, spread)
+        fine[thing == 0] = WHITE
+    return MetTexture(fine, spread)
 
 
 def _radii(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
@@ -116,7 +70,3 @@ def _radii(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
     radii = 1 / np.sqrt(low - rng.random(_MOST) * (low - high))
     covered = np.cumsum(np.pi * radii**2)
     return radii[: 1 + np.searchsorted(covered, _COVERED * shape[0] * shape[1])]
-
-
-def _bytes(colours: np.ndarray) -> np.ndarray:
-    return np.clip(np.round(_WHITE * colours), 1, _WHITE).astype(np.uint8)

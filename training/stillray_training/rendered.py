@@ -25,7 +25,9 @@ from stillray_training.fine_textures import draw_texture
 from stillray_training.glints import draw_glints, glinting_frame, glinting_reference
 from stillray_training.heavy_tail import draw_tail, frame_with, reference_with
 from stillray_training.leaves import draw_leaves
+from stillray_training.met_textures import MetTexture
 from stillray_training.mixed_materials import draw_mixtures, mixed_frame, mixed_reference
+from stillray_training.pages import draw_page
 from stillray_training.sheen import draw_sheen, shining_frame, shining_reference
 from stillray_training.small_lamps import draw_lamps, lit_frame, lit_reference
 from stillray_training.targets import read_albedo_target, read_filter, read_target
@@ -108,6 +110,7 @@ def read_rendered(
         (9, recipe.glint_share, _with_glints),
         (7, recipe.texture_share, _with_texture),
         (10, recipe.leaf_share, _with_leaves),
+        (12, recipe.page_share, _with_page),
         (8, recipe.mixture_share, _with_mixtures),
         (6, recipe.defocus_share, _through_lens),
     ):
@@ -210,11 +213,18 @@ def _with_texture(rendered: Rendered, rng: np.random.Generator) -> Rendered:
 
 
 def _with_leaves(rendered: Rendered, rng: np.random.Generator) -> Rendered:
-    leaves = draw_leaves(rendered.reference.shape[:2], rendered.spread, rng)
+    return _met(rendered, draw_leaves(rendered.reference.shape[:2], rendered.spread, rng), rng)
+
+
+def _with_page(rendered: Rendered, rng: np.random.Generator) -> Rendered:
+    return _met(rendered, draw_page(rendered.reference.shape[:2], rendered.spread, rng), rng)
+
+
+def _met(rendered: Rendered, texture: MetTexture, rng: np.random.Generator) -> Rendered:
     return _painted(
         rendered,
-        rendered.reference * leaves.mean,
-        lambda frame, samples: replace(frame, color=frame.color * leaves.met(samples, rng)),
+        rendered.reference * texture.mean,
+        lambda frame, samples: replace(frame, color=frame.color * texture.met(samples, rng)),
     )
 
 

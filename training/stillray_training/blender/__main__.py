@@ -18,7 +18,16 @@ from types import ModuleType
 
 import bpy
 
-from stillray_training.blender import hall, interior, meadow, moving_shadow, objects, street
+from stillray_training.blender import (
+    desk,
+    hall,
+    interior,
+    meadow,
+    moving_shadow,
+    objects,
+    pool,
+    street,
+)
 from stillray_training.blender.cycles import prepare, render
 from stillray_training.blender.lens import open_lens
 
@@ -139,6 +148,8 @@ EFFECTS: dict[str, Callable[[Path], None]] = {
     "meadow": partial(render_effect, meadow),
     "street": partial(render_effect, street),
     "hall": partial(render_effect, hall),
+    "pool": partial(render_effect, pool),
+    "desk": partial(render_effect, desk),
 }
 EVERY = {**SCENES, **CAMERA, **EFFECTS}
 SEQUENCES = {"moving_shadow": build_moving_shadow, "interior": build_interior}
