@@ -152,6 +152,7 @@ def _smoke(foot: Point) -> None:
     plume = smoke.node("VolumeScatter", Density=dense.outputs[0], Anisotropy=0.3)
     smoke.links.new(plume.outputs[0], smoke.nodes["Material Output"].inputs["Volume"])
     box((x - 0.09, y - 0.09, z + 0.1), (x + 0.09, y + 0.09, z + 0.75), smoke)
+    bpy.context.scene.cycles.volume_biased = True  # by steps: half a minute a frame less to set up
 
 
 def _basket(foot: Point) -> None:
