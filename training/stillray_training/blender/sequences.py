@@ -39,7 +39,7 @@ FRAMES = 8
 #: of those few frames by heart that can be made of few blocks.
 BLOCKS = (1, 2, 4, 8, 16, 1, 1, 1, 2, 2, 4, 8)
 _BLOCK_SEED, _REFERENCE_SEED = 100, 1000  # no two files share their noise
-_TABLES = 0.6  # share of the scenes that are no rooms that are things on a table
+_TABLES = 0.6  # share of things on a table among scenes that are no rooms
 
 
 class Effect(NamedTuple):
