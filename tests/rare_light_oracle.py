@@ -25,12 +25,18 @@ def gain_of(image: np.ndarray, color: np.ndarray, exposure: float, zoom: int = 1
         usual[r, c] = padded[r : r + 3, c : c + 3].mean() + rare_light.DARKEST / exposure
     near = _enlarged(usual)[:height, :width]
     above = (samples - picture) / near
-    if (above > rare_light.BANDS[0]).sum() < rare_light.FEWEST:
+    counted = above.copy()
+    reach = rare_light.BESIDE // 2
+    for y, x in np.ndindex(height, width):
+        beside = np.s_[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1]
+        if (picture[beside] / near[beside]).max() >= rare_light.SHOWN:
+            counted[y, x] = 0  # of a lamp that the picture shows
+    if (counted > rare_light.BANDS[0]).sum() < rare_light.FEWEST:
         return np.ones(given.shape[:2])
     counts = _blocks(np.ones((height, width)))
     missing = np.zeros_like(means)
     for low, high in pairwise(rare_light.BANDS):
-        missing += _believed(np.clip(above, low, high) - low, counts)
+        missing += _believed(np.clip(counted, low, high) - low, counts)
     last = rare_light.WINDOWS[-1]
     kept, least = (
         _wide(_blocks(plane, beyond=True) / rare_light.BLOCK**2 * counts, last)

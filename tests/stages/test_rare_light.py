@@ -68,6 +68,33 @@ def test_light_comes_back_where_it_was(rng):
     assert gain[:, 400:].mean() < 1.05
 
 
+def lamps(shape, count, rng):
+    """A dim wall with lamps of 4x4 pixels, as filtered, and its samples: their rims catch light."""
+    picture = np.broadcast_to(0.02 * WALL, (*shape, 3)).astype(np.float32)
+    color = picture.copy()
+    for corner in rng.integers(8, np.array(shape) - 12, (count, 2)):
+        y, x = corner
+        picture[y : y + 4, x : x + 4] = 500
+        color[y - 1 : y + 5, x - 1 : x + 5] = 500  # samples of neighbours that met them
+    return picture, color
+
+
+def test_rims_of_lamps_make_nothing_around_them_brighter(rng):
+    """In a street at night: the sky above it was 14 % too bright."""
+    picture, color = lamps((200, 300), 30, rng)
+    found, _ = restored(picture, color)
+    np.testing.assert_array_equal(found, picture)
+
+
+def test_rare_samples_between_lamps_are_put_back(rng):
+    picture, color = lamps((200, 300), 6, rng)
+    dim = color[..., 0] < 1
+    rare = (rng.random(dim.shape) < 0.004) & dim
+    color[rare] += 250 * 0.02 * WALL
+    found, _ = restored(picture, color)
+    assert 1.25 < (found / picture)[dim].mean() < 2
+
+
 @pytest.mark.parametrize("side", [2, 3, 5])
 @pytest.mark.parametrize("brightness", [1e3, 1e8])
 def test_a_sample_that_many_pixels_share_is_one(side, brightness, rng):

@@ -31,16 +31,19 @@ def rare_light_gain(image: Tensor, radiance: Tensor, exposure: Tensor) -> Tensor
     usual = mean_with_border(_block_means(picture), 3) + stage.DARKEST / exposure
     around = enlarged(usual, block, height, width)
     above = (radiance - picture) / around
-    rare = (above > first).to(torch.float32)
+    relative = picture / around
+    shown = F.max_pool2d(relative, stage.BESIDE, 1, stage.BESIDE // 2) >= stage.SHOWN
+    counted = torch.where(shown, 0, above)
+    rare = (counted > first).to(torch.float32)
     counts = _block_sums(torch.ones_like(above))
     pixels = [_summed(counts, side) for side in stage.WINDOWS]
     missing = torch.zeros_like(counts)
     for low, high in pairwise(stage.BANDS):
-        light = above.clamp(low, high) - low
+        light = counted.clamp(low, high) - low
         missing = missing + _believed(_block_sums(light), pixels)
     kept, usually = (
         _summed(_block_means(plane) * counts, stage.WINDOWS[-1]) / pixels[-1]
-        for plane in (picture / around, above.clamp(max=first))
+        for plane in (relative, above.clamp(max=first))
     )
     missing = missing + usually.clamp(max=0)
     more = (missing / kept).clamp(stage.LEAST, stage.MOST - 1)

@@ -8,6 +8,9 @@ picture is divided into bands of brightness, the mean of each band is put back a
 its standard error, from the whole window's to that of a smaller one, and the picture multiplied by
 what comes of it. The brighter a band, the rarer and the less known: it goes last.
 
+Samples at the rim of a lamp are that lamp's, which the picture shows: what the filter takes from
+there says nothing of the walls around it, and the sky behind.
+
 How far a mean that is known to a standard error is believed is Breiman's garrote (1995), as in
 `stillray.stages.history_rejection`.
 """
@@ -20,7 +23,7 @@ import cv2
 import numpy as np
 
 from stillray.arrays.gain import multiply_all
-from stillray.arrays.strips import STRIP_PIXELS, Strips
+from stillray.arrays.strips import STRIP_PIXELS, Strips, with_halo
 from stillray.arrays.workspace import Workspace
 from stillray.stages.features import luminance
 
@@ -36,6 +39,9 @@ FEWEST = 7  # samples that stand above: of fewer no mean differs by so many
 DARKEST = 0.004  # exposed radiance that is added where relative means relative to it
 LEAST = 0.03  # of the picture's light: less is left away, and more loses the less the more it is
 MOST = 4.0  # times as bright as it was filtered a picture becomes at most
+#: Of a picture's light relative to that around it: beside pixels of as much, `BESIDE` in all along
+#: each axis, samples that stand above it are a lamp's.
+SHOWN, BESIDE = BANDS[0], 5
 _AROUND = np.full(3, 1 / 3, np.float32)  # blocks of which "the picture" is the mean
 
 
@@ -114,15 +120,17 @@ def gains(
         some = _pixels(blocks, height)
         above = strips.workspace.array("above", picture[some].shape)
         luminance(color[some], out=above)
-        near = around[some, :width]
         above -= picture[some]
-        above /= near
-        far = np.flatnonzero(above > BANDS[0])
+        above /= around[some, :width]
+        wider, inside = with_halo(some, BESIDE // 2, height)
+        relative = strips.workspace.array("relative", picture[wider].shape)
+        np.divide(picture[wider], around[wider, :width], out=relative)
+        shown = cv2.dilate(relative, np.ones((BESIDE, BESIDE), np.uint8))[inside]
+        far = np.flatnonzero((above > BANDS[0]) & (shown < SHOWN))
         values = above.reshape(-1)[far]
         cv2.threshold(above, BANDS[0], 0, cv2.THRESH_TRUNC, dst=above)
         usually[blocks] = _block_means(above)
-        np.divide(picture[some], near, out=above)
-        kept[blocks] = _block_means(above)
+        kept[blocks] = _block_means(relative[inside])
         down, across = np.divmod(far, width)
         return columns * (blocks.start + down // BLOCK) + across // BLOCK, values
 
