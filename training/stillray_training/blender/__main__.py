@@ -122,9 +122,14 @@ def render_blurred_cube(folder: Path) -> None:
     render_references(folder, "blurred_cube", [3], 512)
 
 
+def name_of(place: ModuleType) -> str:
+    """What a scene is called, of which there is a module."""
+    return place.__name__.rpartition(".")[2]
+
+
 def render_effect(place: ModuleType, folder: Path) -> None:
     """A sequence whose camera moves, whose last two frames have references, and stills."""
-    scene = place.__name__.rpartition(".")[2]
+    scene = name_of(place)
     prepare((384, 216))
     place.build()
     place.move(_FRAMES)
@@ -145,11 +150,7 @@ CAMERA: dict[str, Callable[[Path], None]] = {
     "blurred_cube": render_blurred_cube,
 }
 EFFECTS: dict[str, Callable[[Path], None]] = {
-    "meadow": partial(render_effect, meadow),
-    "street": partial(render_effect, street),
-    "hall": partial(render_effect, hall),
-    "pool": partial(render_effect, pool),
-    "desk": partial(render_effect, desk),
+    name_of(place): partial(render_effect, place) for place in (meadow, street, hall, pool, desk)
 }
 EVERY = {**SCENES, **CAMERA, **EFFECTS}
 SEQUENCES = {"moving_shadow": build_moving_shadow, "interior": build_interior}

@@ -21,6 +21,7 @@ from stillray_training.blender.parts import (
     lathe,
     light,
     rod,
+    text,
     wood,
 )
 
@@ -71,7 +72,7 @@ def _print() -> None:
     for line in range(16):
         size = 0.075 if line == 0 else 0.034
         words = " ".join(drawn.choice(_WORDS) for _ in range(2 if line == 0 else 5))
-        _text(words, size, ink, (-0.46, 0.38 - 0.04 * line, 0.009), (0, 0, 0))
+        text(words, size, ink, (-0.46, 0.38 - 0.04 * line, 0.009))
     x = -1.25
     for _ in range(7):
         thick, high = drawn.uniform(0.05, 0.1), drawn.uniform(0.3, 0.42)
@@ -80,17 +81,9 @@ def _print() -> None:
         box((x, 0.95, 0), (x + thick - 0.004, 1.25, high), cloth, bevel=0.004)
         gold = Material("gold", (0.8, 0.6, 0.25), Metallic=1.0, Roughness=0.3)
         at = (x + 0.3 * thick, 0.949, 0.05)
-        _text(drawn.choice(_WORDS).upper(), 0.6 * thick, gold, at, (math.pi / 2, -math.pi / 2, 0))
+        title = text(drawn.choice(_WORDS).upper(), 0.6 * thick, gold, at)
+        title.rotation_euler = (math.pi / 2, -math.pi / 2, 0)
         x += thick
-
-
-def _text(words: str, size: float, material: Material, at: Point, turn: Point) -> None:
-    curve = bpy.data.curves.new("text", "FONT")
-    curve.body, curve.size = words, size
-    curve.materials.append(material.data)
-    thing = bpy.data.objects.new("text", curve)
-    bpy.context.scene.collection.objects.link(thing)
-    thing.location, thing.rotation_euler = at, turn
 
 
 def _candle(foot: Point, high: float, radius: float) -> None:
@@ -142,15 +135,13 @@ def _smoke(foot: Point) -> None:
     rod((x, y, z), (x, y, z + 0.1), 0.004, stick)
     ball((x, y, z + 0.1), 0.005, glowing((1, 0.2, 0.05), 20))
     smoke = Material("smoke")
-    smoke.nodes.remove(smoke.surface)
     swirls = smoke.node(
         "TexNoise", Vector=smoke.coordinates((9, 9, 3)), Scale=1.0, Detail=3.0, Distortion=1.5
     )
     dense = smoke.node(
         "MapRange", Value=swirls.outputs[0], From_Min=0.5, From_Max=0.75, To_Min=0.0, To_Max=25.0
     )
-    plume = smoke.node("VolumeScatter", Density=dense.outputs[0], Anisotropy=0.3)
-    smoke.links.new(plume.outputs[0], smoke.nodes["Material Output"].inputs["Volume"])
+    smoke.scatter(Density=dense.outputs[0], Anisotropy=0.3)
     box((x - 0.09, y - 0.09, z + 0.1), (x + 0.09, y + 0.09, z + 0.75), smoke)
     bpy.context.scene.cycles.volume_biased = True  # by steps: half a minute a frame less to set up
 

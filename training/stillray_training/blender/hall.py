@@ -44,9 +44,7 @@ def build() -> None:
     _windows(stone)
     _columns()
     haze = Material("haze")
-    haze.nodes.remove(haze.surface)
-    scatter = haze.node("VolumeScatter", Density=0.06, Anisotropy=0.5)
-    haze.links.new(scatter.outputs[0], haze.nodes["Material Output"].inputs["Volume"])
+    haze.scatter(Density=0.06, Anisotropy=0.5)
     box((-0.05, -0.95, 0.0), (_WIDE, _LONG, _HIGH), haze)
     light("SUN", (-7, 3, 6), (2.5, 6, 0), 9.0, angle=math.radians(0.53), color=(1, 0.9, 0.72))
     light("SPOT", (4.6, 6.5, 4.3), (3.6, 7.4, 0.8), 400, spot_size=0.5, spot_blend=0.2,

@@ -9,7 +9,7 @@ import bpy
 from stillray_training.blender.log_uniform import log_uniform
 from stillray_training.blender.materials import color
 from stillray_training.blender.parts import Material, box
-from stillray_training.blender.view import View
+from stillray_training.blender.view import View, usual_distance
 
 _LOST = (0.05, 1.5)  # optical depth of what the camera usually sees
 _FAR = 40.0  # metres from the camera to where haze ends
@@ -21,15 +21,14 @@ def fill(drawn: Random) -> None:
     places = View().places(drawn, 9)
     if not places:
         return
-    usual = sorted(far for *_, far in places)[len(places) // 2]
+    usual = usual_distance(places)
     haze = Material("haze")
-    haze.nodes.remove(haze.surface)
     tint = color(drawn) if drawn.random() < 0.3 else (1, 1, 1)
-    scatter = haze.node(
-        "VolumeScatter", Color=(*tint, 1), Density=log_uniform(drawn, *_LOST) / usual,
+    haze.scatter(
+        Color=(*tint, 1),
+        Density=log_uniform(drawn, *_LOST) / usual,
         Anisotropy=drawn.uniform(-0.1, 0.7),
-    )  # fmt: skip
-    haze.links.new(scatter.outputs[0], haze.nodes["Material Output"].inputs["Volume"])
+    )
     x, y, z = bpy.context.scene.camera.location
     box((x - _FAR, y - _FAR, z - _FAR), (x + _FAR, y + _FAR, z + _FAR), haze)
     bpy.context.scene.cycles.volume_bounces = drawn.randint(0, _BOUNCES)

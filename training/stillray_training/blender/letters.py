@@ -11,7 +11,7 @@ from mathutils import Matrix, Vector
 
 from stillray_training.blender.log_uniform import log_uniform
 from stillray_training.blender.materials import color
-from stillray_training.blender.parts import Material, add, glowing, primitive
+from stillray_training.blender.parts import Material, add, glowing, primitive, text
 from stillray_training.blender.view import View
 
 _PAGES = (2, 7)
@@ -46,21 +46,19 @@ def _page(drawn: Random, place: Matrix, high: float, off: float) -> None:
         "".join(drawn.choices(letters, k=drawn.randint(longest // 2 + 1, longest)))
         for _ in range(drawn.randint(*_LINES))
     ]
-    curve = bpy.data.curves.new("print", "FONT")
-    curve.body, curve.size = "\n".join(lines), high
-    curve.align_x, curve.align_y = "CENTER", "CENTER"
-    curve.space_line = drawn.uniform(0.9, 1.6)
+    spaced = drawn.uniform(0.9, 1.6)
     ink = Material("ink", color(drawn), Roughness=drawn.uniform(0.1, 0.9))
     if drawn.random() < _LIT:
         ink = glowing(color(drawn), log_uniform(drawn, 0.3, 10))
     elif drawn.random() < 0.5:
         ink = Material("ink", (0.02, 0.02, 0.02), Roughness=0.7)
-    curve.materials.append(ink.data)
-    thing = bpy.data.objects.new("print", curve)
-    bpy.context.scene.collection.objects.link(thing)
+    thing = text("\n".join(lines), high, ink)
+    curve = thing.data
+    curve.align_x, curve.align_y = "CENTER", "CENTER"
+    curve.space_line = spaced
     thing.matrix_world = place @ Matrix.Translation((0, 0, off))
     if drawn.random() < _PAPER:
         paper = Material("paper", color(drawn), Roughness=drawn.uniform(0.2, 0.9))
         sheet = add(primitive("grid", x_segments=1, y_segments=1, size=1.0), paper)
-        half = high * Vector((0.3 * longest + 1, 0.6 * len(lines) * curve.space_line + 0.5, 1))
+        half = high * Vector((0.3 * longest + 1, 0.6 * len(lines) * spaced + 0.5, 1))
         sheet.matrix_world = place @ Matrix.Diagonal((*half, 1.0))

@@ -143,11 +143,7 @@ def _figure(drawn: Random, tints: list[float]) -> bpy.types.Object:
 
 def _fog(drawn: Random) -> None:
     haze = Material("fog")
-    haze.nodes.remove(haze.surface)
-    scatter = haze.node(
-        "VolumeScatter", Density=drawn.uniform(0.03, 0.12), Anisotropy=drawn.uniform(0.0, 0.6)
-    )
-    haze.links.new(scatter.outputs[0], haze.nodes["Material Output"].inputs["Volume"])
+    haze.scatter(Density=drawn.uniform(0.03, 0.12), Anisotropy=drawn.uniform(0.0, 0.6))
     box((-4, -2, -0.5), (4, _LONG + 1, 6), haze)
     light("POINT", (0, drawn.uniform(3, 9), 5.0), (0, 0, 0), drawn.uniform(30, 150),
           shadow_soft_size=0.3, color=colorsys.hsv_to_rgb(drawn.random(), 0.4, 1.0))  # fmt: skip

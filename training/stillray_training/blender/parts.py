@@ -90,6 +90,12 @@ class Material:
         self.links.new(other.outputs[0], mixed.inputs[2])
         self.links.new(mixed.outputs[0], self.nodes["Material Output"].inputs["Surface"])
 
+    def scatter(self, **inputs: Any) -> None:
+        """Have no surface, and scatter light within; inputs as `node` takes them."""
+        self.nodes.remove(self.surface)
+        within = self.node("VolumeScatter", **inputs)
+        self.links.new(within.outputs[0], self.nodes["Material Output"].inputs["Volume"])
+
     def emboss(self, height: Any, distance: float, strength: float = 1.0) -> None:
         """Relief that only normals show: bump of ``height``, ``distance`` metres deep."""
         bump = self.node("Bump", Height=height, Distance=distance, Strength=strength)
@@ -272,6 +278,13 @@ def hair(paths: Any, radius: float, material: Material, place: Point = (0, 0, 0)
     radii = data.attributes.get("radius") or data.attributes.new("radius", "FLOAT", "POINT")
     thinner = radius * np.linspace(1, 0.2, steps)
     radii.data.foreach_set("value", np.tile(thinner, count).astype(np.float32))
+    return add(data, material, place)
+
+
+def text(words: str, size: float, material: Material, place: Point = (0, 0, 0)) -> Any:
+    """Flat letters in the scene, ``size`` metres from line to line; their curve is its ``data``."""
+    data = bpy.data.curves.new("text", "FONT")
+    data.body, data.size = words, size
     return add(data, material, place)
 
 

@@ -37,7 +37,6 @@ def blow(drawn: Random) -> None:
 def _stuff(drawn: Random, broad: float) -> Material:
     """Dense where a noise is high, and nowhere near the faces of its box."""
     smoke = Material("smoke")
-    smoke.nodes.remove(smoke.surface)
     swirls = smoke.node(
         "TexNoise", Vector=smoke.coordinates(), Scale=log_uniform(drawn, 1.5, 12) / broad,
         Detail=drawn.choice((1.0, 3.0, 6.0)), Distortion=drawn.uniform(0, 2),
@@ -53,9 +52,5 @@ def _stuff(drawn: Random, broad: float) -> Material:
         To_Min=0.0, To_Max=log_uniform(drawn, *_LOST) / broad,
     )  # fmt: skip
     tint = color(drawn) if drawn.random() < 0.4 else (0.9, 0.9, 0.9)
-    cloud = smoke.node(
-        "VolumeScatter", Color=(*tint, 1), Density=dense.outputs[0],
-        Anisotropy=drawn.uniform(-0.1, 0.6),
-    )  # fmt: skip
-    smoke.links.new(cloud.outputs[0], smoke.nodes["Material Output"].inputs["Volume"])
+    smoke.scatter(Color=(*tint, 1), Density=dense.outputs[0], Anisotropy=drawn.uniform(-0.1, 0.6))
     return smoke

@@ -18,6 +18,7 @@ from stillray_training.blender.parts import (
     glowing,
     key,
     rod,
+    text,
 )
 
 _WIDE, _LONG = 4.5, 34.0  # half the street's width, its length; metres
@@ -101,13 +102,10 @@ def _house(drawn: Random, side: int, y: float) -> float:
             box((a, u, v + 0.84), (b, u + 0.8, v + 0.88), frame)
     if drawn.random() < 0.7:
         sign = glowing((drawn.random(), drawn.random(), drawn.random()), drawn.uniform(3, 10))
-        mesh = bpy.data.curves.new("sign", "FONT")
-        mesh.body = drawn.choice(("HOTEL", "CAFE", "24h", "BAR", "PHARMACY", "RAMEN"))
-        mesh.size, mesh.extrude, mesh.bevel_depth = 0.7, 0.02, 0.01
-        mesh.materials.append(sign.data)
-        thing = bpy.data.objects.new("sign", mesh)
-        bpy.context.scene.collection.objects.link(thing)
-        thing.location = (side * (_WIDE - 0.08), y + (3.4 if side > 0 else 1.0), 3.0)
+        words = drawn.choice(("HOTEL", "CAFE", "24h", "BAR", "PHARMACY", "RAMEN"))
+        at = (side * (_WIDE - 0.08), y + (3.4 if side > 0 else 1.0), 3.0)
+        thing = text(words, 0.7, sign, at)
+        thing.data.extrude, thing.data.bevel_depth = 0.02, 0.01
         thing.rotation_euler = (math.pi / 2, 0, -side * math.pi / 2)
     return y + deep
 

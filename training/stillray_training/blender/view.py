@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from random import Random
 
 import bpy
 from mathutils import Vector
 
 _NEAR = 0.3  # metres, before which nothing is stood
+
+
+def usual_distance(places: Sequence[tuple[Vector, Vector, float]]) -> float:
+    """The middle one of distances of `View.places`, of which there must be one."""
+    return sorted(far for *_, far in places)[len(places) // 2]
 
 
 class View:

@@ -10,7 +10,7 @@ from mathutils import Vector
 from stillray_training.blender.log_uniform import log_uniform
 from stillray_training.blender.materials import color
 from stillray_training.blender.parts import Material, add, primitive
-from stillray_training.blender.view import View
+from stillray_training.blender.view import View, usual_distance
 
 _DEEP = (0.0, 0.3)  # above the lowest point seen, of the usual distance
 _RIPPLE = (0.01, 0.3)  # their length, of the usual distance
@@ -25,7 +25,7 @@ def flood(drawn: Random) -> None:
     places = View().places(drawn, 15)
     if not places:
         return
-    usual = sorted(far for *_, far in places)[len(places) // 2]
+    usual = usual_distance(places)
     lowest = min(point.z for point, *_ in places)
     high = lowest + usual * drawn.uniform(*_DEEP)
     eye = scene.camera.location

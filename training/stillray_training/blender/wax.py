@@ -8,7 +8,7 @@ import bpy
 
 from stillray_training.blender.log_uniform import log_uniform
 from stillray_training.blender.parts import principled
-from stillray_training.blender.view import View
+from stillray_training.blender.view import View, usual_distance
 
 _SHARE = (0.1, 0.7)  # of the scene's materials
 _DEEP = (0.002, 0.06)  # how far light comes, of the usual distance
@@ -17,7 +17,7 @@ _DEEP = (0.002, 0.06)  # how far light comes, of the usual distance
 def soften(drawn: Random) -> None:
     """Let light into some materials of the scene that is built."""
     places = View().places(drawn, 9)
-    usual = sorted(far for *_, far in places)[len(places) // 2] if places else 1.0
+    usual = usual_distance(places) if places else 1.0
     share = drawn.uniform(*_SHARE)
     for made in principled():
         into = made.surface.inputs
