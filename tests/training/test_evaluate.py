@@ -382,6 +382,21 @@ def test_frames_and_references_go_through_a_film_whose_samples_count_in_several_
     assert soft[0][-1].filter_spread == pytest.approx((1 / 12 + film_variance(0.5)) ** 0.5)
 
 
+def test_buffers_can_be_kept_from_what_denoises(tmp_path):
+    write_sequence(tmp_path / "a", 2, [1])
+    whole, bare = (
+        evaluate.find_all([str(tmp_path)], without=without)[0].read()[0][-1]
+        for without in ((), ("albedo", "depth"))
+    )
+    assert whole.albedo is not None
+    assert (bare.albedo, bare.depth) == (None, None)
+    np.testing.assert_array_equal(bare.normal, whole.normal)
+    np.testing.assert_array_equal(bare.color, whole.color)
+    assert evaluate.withheld("albedo,depth") == ["albedo", "depth"]
+    with pytest.raises(InputError, match=r"without must be out of albedo, .*, got color"):
+        evaluate.withheld("color")
+
+
 @pytest.mark.parametrize("film", [-0.1, 1.5, float("nan")])
 def test_a_film_of_no_width_is_refused(tmp_path, film):
     with pytest.raises(InputError, match="film must be 0 to 1 pixels"):

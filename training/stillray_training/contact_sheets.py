@@ -21,7 +21,7 @@ from stillray.compare.display import display_exposure, tone_map
 from stillray.errors import InputError
 from stillray.io.atomic import atomic_path
 from stillray.models.registry import find_model, for_single_frames
-from stillray_training.evaluate.__main__ import find_all
+from stillray_training.evaluate.__main__ import find_all, withheld
 from stillray_training.evaluate.cases import WITHOUT_PAST, Case
 from stillray_training.evaluate.methods import NOISY, Methods
 from stillray_training.peers import find_peer
@@ -132,9 +132,12 @@ def save(path: Path, page: np.ndarray) -> None:
 
 def pictures(case: Case, model: str) -> tuple[list[tuple[str, np.ndarray]], float]:
     """Rows of a sheet, and the exposure of the reference: of the last frame of a case."""
-    alone = case.kind in WITHOUT_PAST
-    name = find_model(for_single_frames(model) if alone else model).name
     frames, references = case.read()
+    last, name = frames[-1], model
+    if case.kind in WITHOUT_PAST:
+        guided = last.albedo is not None or last.normal is not None
+        name = for_single_frames(model, guided=guided)
+    name = find_model(name).name
     with Methods({name: model}, [_PEER]) as methods:
         found: dict[str, Any] = dict(methods.run(case, frames, len(references)))
     rows = [(label, found[label][-1]) for label in (NOISY, name, find_peer(_PEER).label)]
@@ -151,10 +154,11 @@ def main(
         str | None, typer.Option(help="Of frames whose files do not say, as stillray-evaluate's.")
     ] = None,
     film: Annotated[float, typer.Option(help="As stillray-evaluate's.")] = 0.0,
+    without: Annotated[str | None, typer.Option(help="As stillray-evaluate's.")] = None,
     crops: Annotated[Path, typer.Option(help="TOML that says where to look.")] = CROPS,
 ) -> None:
     """Write a contact sheet for every frame of the crops file that the folders have."""
-    found = find_all(folders, pixel_filter=pixel_filter, film=film)
+    found = find_all(folders, pixel_filter=pixel_filter, film=film, without=withheld(without))
     cases = {(case.title, case.name): case for case in found}
     side, enlargement, sheets = read_sheets(crops)
     out.mkdir(parents=True, exist_ok=True)

@@ -27,7 +27,7 @@ from stillray.models.registry import (
     with_overrides,
 )
 from stillray.pixel_filter import parse_filter
-from stillray_training.evaluate.cases import KINDS, Case, find_cases, titles
+from stillray_training.evaluate.cases import KINDS, WITHHELD, Case, find_cases, titles
 from stillray_training.evaluate.methods import NOISY, choose_peers, left_out
 from stillray_training.evaluate.report import report as page
 from stillray_training.evaluate.report import sections
@@ -84,6 +84,10 @@ def main(
             "through, whose samples count in several pixels, as Mitsuba's of 0.5; 0: none."
         ),
     ] = 0.0,
+    without: Annotated[
+        str | None,
+        typer.Option(help=f"Buffers to keep from all, out of {','.join(WITHHELD)}; default: none."),
+    ] = None,
     metrics: Annotated[
         str | None, typer.Option(help=f"Out of {','.join(_METRIC_NAMES)}; default: all but rmse.")
     ] = None,
@@ -92,7 +96,9 @@ def main(
     pictures: Annotated[Path | None, typer.Option(help="Folder for tone-mapped PNGs.")] = None,
 ) -> None:
     """Print every set's metrics, and where a model's picture is worse than its input."""
-    alone = {name for quality in qualities() if (name := for_single_frames(quality)) != quality}
+    kept_back = withheld(without)
+    guided = not {"albedo", "normal"} <= set(kept_back)
+    alone = {for_single_frames(quality, guided=guided) for quality in qualities()}
     given = model or [*(info.name for info in list_models()), *sorted(alone)]
     models = with_ensembles(
         {text.split("=")[0]: find_model(text.split("=")[-1]) for text in given}, ensemble
@@ -108,6 +114,7 @@ def main(
         _counts(stills) if stills else None,
         pixel_filter,
         film,
+        kept_back,
     )
     results = evaluate_cases(
         cases, models, peers=chosen, names=names, pictures=pictures, progress=_shown
@@ -141,11 +148,12 @@ def find_all(
     counts: Collection[int] | None = None,
     pixel_filter: str | None = None,
     film: float = 0.0,
+    without: Sequence[str] = (),
 ) -> list[Case]:
     """Cases of several folders, each ``FOLDER`` or ``LABEL=FOLDER``, see `find_cases`.
 
     ``pixel_filter`` is that of frames whose files do not say, see `parse_filter`; ``none`` keeps
-    from models what files say, too. ``film`` is `Case.film`.
+    from models what files say, too. ``film`` and ``without`` are `Case`'s.
     """
     if not 0 <= film <= _WIDEST_FILM:
         raise InputError(f"film must be 0 to {_WIDEST_FILM:g} pixels, got {film:g}")
@@ -157,7 +165,17 @@ def find_all(
         if not Path(folder).is_dir():
             raise InputError(f"folder must exist, got {folder}")
         cases += find_cases(Path(folder), label=label, kinds=kinds, counts=counts)
-    return [replace(case, filter_spread=spread, tells_filter=tells, film=film) for case in cases]
+    return [
+        replace(
+            case, filter_spread=spread, tells_filter=tells, film=film, without=tuple(without)
+        )
+        for case in cases
+    ]  # fmt: skip
+
+
+def withheld(text: str | None) -> list[str]:
+    """Buffers that are listed as ``--without`` takes them."""
+    return _listed(text, "without", WITHHELD) if text else []
 
 
 def _listed(text: str, option: str, allowed: Collection[str]) -> list[str]:

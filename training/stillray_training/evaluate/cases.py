@@ -12,6 +12,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +27,8 @@ from stillray_training.targets import read_filter, read_samples
 KINDS = ("sequences", "frames", "stills", "fed")
 #: Those of them whose frames have no past.
 WITHOUT_PAST = ("stills", "fed")
+#: Buffers that can be kept from what denoises.
+WITHHELD = ("albedo", "normal", "depth", "motion")
 _STILLS = "spp"
 
 
@@ -55,6 +58,8 @@ class Case:
     film
         Standard deviation of a Gaussian film that frames and references go through, in pixels: its
         samples count in all pixels that it reaches, see `stillray_training.film`; 0 for none.
+    without
+        Buffers out of `WITHHELD` that frames are given without.
     """
 
     kind: str
@@ -65,6 +70,7 @@ class Case:
     filter_spread: float | None = None
     tells_filter: bool = True
     film: float = 0.0
+    without: tuple[str, ...] = ()
 
     def read(self) -> tuple[list[Frame], list[np.ndarray]]:
         """The frames, and the radiance ``(h, w, 3)`` of the references."""
@@ -87,7 +93,8 @@ class Case:
             frame = frame_through_film(frame, self.film)
             known = widened(known, film_variance(self.film))
         known = known if self.tells_filter else None
-        return dataclasses.replace(frame, filter_spread=known, samples=samples)
+        withheld: dict[str, Any] = dict.fromkeys(self.without)
+        return dataclasses.replace(frame, filter_spread=known, samples=samples, **withheld)
 
 
 def find_cases(
