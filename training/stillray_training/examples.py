@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -176,12 +176,10 @@ class Runtime:
         """The last of some frames in a row, and what it is to become."""
         history: History | None = None
         for frame in run:
-            frame = self.prefiltered(frame)
+            frame = self.prefiltered(_taken(frame, self.spec))
             prepared = prepare(frame, self.spec, history, self._strips, Wants(sample=True))
             history = prepared.history
         assert history is not None
-        assert prepared.normal is not None
-        assert prepared.depth is not None
         return Example(
             mean=history.mean,
             sample=_sample(prepared),
@@ -189,8 +187,8 @@ class Runtime:
             demodulation_albedo=_albedo(prepared.demodulation_albedo, prepared),
             remodulation_albedo=_albedo(prepared.remodulation_albedo, prepared),
             albedo=_albedo(prepared.albedo, prepared),
-            normal=prepared.normal.astype(np.float16),
-            depth=prepared.depth,
+            normal=_given(prepared.normal, (*frame.shape, 3)).astype(np.float16),
+            depth=_given(prepared.depth, frame.shape),
             depth_unit=prepared.depth_unit,
             previous=np.broadcast_to(np.float32(0), history.mean.shape),
             reference=reference,
@@ -389,6 +387,18 @@ def _with_blurred_past(example: Example, rng: np.random.Generator) -> Example:
     light = (frames * mean[..., :3] + own * example.sample[..., :3]) / (frames + own)
     mean = np.concatenate([light, own + frames], -1)
     return replace(example, mean=mean, previous=previous)
+
+
+def _taken(frame: Frame, spec: ModelSpec) -> Frame:
+    """A frame without the buffers that a model does not take."""
+    takes = {*spec.inputs.required, *spec.inputs.optional}
+    left: dict[str, Any] = dict.fromkeys({"albedo", "normal", "depth"} - takes)
+    return replace(frame, **left)
+
+
+def _given(feature: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+    """A feature as examples keep it; zeros, which nobody reads, where the model takes none."""
+    return np.zeros(shape, np.float32) if feature is None else feature
 
 
 def _albedo(albedo: np.ndarray | None, prepared: Prepared) -> np.ndarray:

@@ -28,6 +28,7 @@ from stillray_training.leaves import draw_leaves
 from stillray_training.met_textures import MetTexture
 from stillray_training.mixed_materials import draw_mixtures, mixed_frame, mixed_reference
 from stillray_training.pages import draw_page
+from stillray_training.ripples import draw_ripples
 from stillray_training.sheen import draw_sheen, shining_frame, shining_reference
 from stillray_training.small_lamps import draw_lamps, lit_frame, lit_reference
 from stillray_training.targets import read_albedo_target, read_filter, read_target
@@ -108,6 +109,7 @@ def read_rendered(
         (2, recipe.window_share, _with_window),
         (1, recipe.lamp_share, _with_lamps),
         (9, recipe.glint_share, _with_glints),
+        (13, recipe.ripple_share, _with_ripples),
         (7, recipe.texture_share, _with_texture),
         (10, recipe.leaf_share, _with_leaves),
         (12, recipe.page_share, _with_page),
@@ -209,6 +211,15 @@ def _with_texture(rendered: Rendered, rng: np.random.Generator) -> Rendered:
         rendered,
         clean,
         lambda frame, samples: replace(frame, color=clean if noiseless else frame.color * texture),
+    )
+
+
+def _with_ripples(rendered: Rendered, rng: np.random.Generator) -> Rendered:
+    pattern = draw_ripples(rendered.reference.shape[:2], rng)
+    return _painted(
+        rendered,
+        rendered.reference * pattern,
+        lambda frame, samples: replace(frame, color=frame.color * pattern),
     )
 
 

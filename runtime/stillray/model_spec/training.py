@@ -92,6 +92,9 @@ class Training:
     # share of sequences over whose albedo a page of print lies, which a few samples a pixel meet,
     # of models that denoise albedos, [0, 1]
     page_share: float = 0.0
+    # share of sequences over which a soft pattern of 4 to 48 pixels is painted that no feature
+    # shows, of models of patches, [0, 1]
+    ripple_share: float = 0.0
     # share of sequences into which things are painted of which each sample draws a material, as of
     # glass, of models that denoise albedos, [0, 1]
     mixture_share: float = 0.0
@@ -124,7 +127,7 @@ class Training:
             "shade_share", "paint_share", "firefly_share", "lamp_share", "fresh_share",
             "mean_share", "small_share", "window_share", "shadow_share", "tail_share",
             "thin_share", "defocus_share", "texture_share", "mixture_share",
-            "glint_share", "leaf_share", "page_share", "sheen_share",
+            "glint_share", "leaf_share", "page_share", "sheen_share", "ripple_share",
         ):  # fmt: skip
             within(f"training.{key}", getattr(self, key), 0, 1)
         for key in ("steps", "batch", "patch", "frames"):
