@@ -118,7 +118,7 @@ def render(properties: Any, scene: Any = None) -> Any:
 
 def main(config: str, target: str) -> None:
     """Render what a configuration file describes, and write the denoised picture."""
-    with stillray.Denoiser() as denoiser:
+    with stillray.Denoiser(temporal=False) as denoiser:
         import pyluxcore
 
         pyluxcore.Init()

@@ -259,7 +259,7 @@ def try_words() -> None:
     bare = animation(scene, "bare noisy", on=False)
     words = found["words"] = {}
     words["bare"] = animation(scene, "bare"), sorted(hook.said)
-    found["bare"] = worst(by_the_api(bare, temporal=True), FOLDER / "bare")
+    found["bare"] = worst(by_the_api(bare, temporal=False), FOLDER / "bare")
     bpy.ops.stillray.set_up_passes()
     scene.render.use_motion_blur = True
     words["blurred"] = animation(scene, "blurred"), sorted(hook.said)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A denoiser with a history of its own for each scene, view layer and eye."""
+"""A denoiser with a history of its own for each scene, view layer and eye.
+
+Frames without motion vectors have no history: one denoiser serves all of them.
+"""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -29,10 +32,11 @@ class _Stream:
 
 
 class Streams:
-    """All that is remembered between frames; one network serves all."""
+    """All that is remembered between frames; one network serves all that have a past."""
 
     def __init__(self) -> None:
         self._streams: dict[tuple, _Stream] = {}
+        self._still = None
         self._kind: tuple = ()
 
     def denoise(self, frame, shown: Shown, number: int, settings, progress):
@@ -52,12 +56,14 @@ class Streams:
         progress
             As `stillray.Denoiser.denoise` takes it.
         """
-        kind = settings.quality, settings.ensemble, settings.temporal
+        kind = settings.quality, settings.ensemble
         if self._kind != kind:
             self.close()
             self._kind = kind
+        if not settings.temporal or frame.motion is None:
+            return self._alone().denoise(frame, progress=progress)
         stream = self._stream(shown)
-        cut = stream.cuts.compare(frame) if settings.temporal else None
+        cut = stream.cuts.compare(frame)
         if number - 1 != stream.last or shown.camera != stream.camera or (cut and cut.is_cut):
             stream.denoiser.reset()
         picture = stream.denoiser.denoise(frame, progress=progress)
@@ -75,6 +81,18 @@ class Streams:
         while self._streams:  # from the last: the first owns the network
             _, stream = self._streams.popitem()
             stream.denoiser.close()
+        if self._still is not None:
+            self._still.close()
+            self._still = None
+
+    def _alone(self):
+        """The denoiser of frames without history."""
+        if self._still is None:
+            from stillray import Denoiser
+
+            quality, ensemble = self._kind
+            self._still = Denoiser(quality, temporal=False, ensemble=ensemble)
+        return self._still
 
     def _stream(self, shown: Shown) -> _Stream:
         key = shown.scene, shown.layer, shown.view
@@ -84,7 +102,7 @@ class Streams:
 
             first = next(iter(self._streams.values()), None)
             engine = first.denoiser.engine if first else None
-            quality, ensemble, temporal = self._kind
-            denoiser = Denoiser(quality, temporal=temporal, ensemble=ensemble, engine=engine)
+            quality, ensemble = self._kind
+            denoiser = Denoiser(quality, ensemble=ensemble, engine=engine)
             self._streams[key] = _Stream(denoiser, CutDetector(denoiser.model.spec), shown.camera)
         return self._streams[key]
