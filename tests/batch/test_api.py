@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -88,6 +90,63 @@ def test_one_file_alone_is_denoised_as_one_image_is(shot):
     # with frames before it, it has a past
     options = stillray.ShotOptions(frames="2", warm_up=1)
     assert stillray.denoise_shot("shot.##.exr", "g.##.exr", options=options).model == "kpyr-5"
+
+
+def without(shot, *layers):
+    """The shot's files once more, without some of their layers: as bare.01.exr and on."""
+    for number in range(1, FRAMES + 1):
+        frame = read_exr(shot / f"shot.{number:02d}.exr")
+        channels = {name: frame.color[..., i] for i, name in enumerate("RGB")}
+        if "albedo" not in layers:
+            channels |= {f"albedo.{name}": frame.albedo[..., i] for i, name in enumerate("RGB")}
+        if "motion" not in layers:
+            channels |= {"motion.X": frame.motion[..., 0], "motion.Y": frame.motion[..., 1]}
+        write_channels(shot / f"bare.{number:02d}.exr", channels)
+
+
+@pytest.mark.parametrize(
+    ("layers", "model"),
+    [
+        (("motion",), "kpyr-5-still"),
+        (("motion", "albedo"), "kpyr-5-color"),
+        (("albedo",), "kpyr-5"),
+    ],
+)
+def test_frames_without_motion_are_stills_whatever_else_they_lack(shot, layers, model, capsys):
+    without(shot, *layers)
+    ran = stillray.denoise_shot("bare.##.exr", "k.##.exr", options=FAST)
+    assert ran.model == model
+    for number in range(1, FRAMES + 1):
+        frame = read_exr(shot / f"bare.{number:02d}.exr")
+        image = stillray.denoise(frame.color, frame.albedo)
+        if model != "kpyr-5":
+            found = read_exr(shot / f"k.{number:02d}.exr").color
+            np.testing.assert_allclose(found, image, rtol=1e-3)  # half floats
+    # as info says beforehand
+    capsys.readouterr()
+    assert main(["info", "bare.##.exr", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["model"] == model
+
+
+def test_an_albedo_of_its_own_file_is_a_guide(shot):
+    without(shot, "motion", "albedo")
+    options = stillray.ShotOptions(threads=1, companions={"albedo": "shot.##.exr"})
+    assert stillray.denoise_shot("bare.##.exr", "l.##.exr", options=options).model == "kpyr-5-still"
+    left_out = stillray.ShotOptions(threads=1, layers={"albedo": "none", "motion": "none"})
+    ran = stillray.denoise_shot("shot.##.exr", "m.##.exr", options=left_out)
+    assert ran.model == "kpyr-5-color"
+
+
+def test_a_still_that_is_changed_makes_none_beside_it_anew(shot):
+    without(shot, "motion")
+    options = stillray.ShotOptions(threads=1, resume=True)
+    stillray.denoise_shot("bare.##.exr", "n.##.exr", options=options)
+    frame = make_frame(24, 33, 99)
+    channels = {name: frame.color[..., i] for i, name in enumerate("RGB")}
+    channels |= {f"albedo.{name}": frame.albedo[..., i] for i, name in enumerate("RGB")}
+    write_channels(shot / "bare.02.exr", channels)
+    again = stillray.denoise_shot("bare.##.exr", "n.##.exr", options=options)
+    assert [done.step.job.number for done in again.frames if done.step.writes] == [2]
 
 
 def test_files_and_models_may_be_named_by_paths(shot):

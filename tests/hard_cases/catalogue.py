@@ -13,7 +13,9 @@ CASES = [*samples.CASES, *features.CASES, *sequences.CASES]
 
 #: Models that are not listed, and take frames of one color: measured, not held to the limits. The
 #: first take no past: what a case asks of one is met by having none.
-BY_NAME = ("kpyr-5-still", "kpyr-5s-still", "munet-x1", "munet-x2")
+BY_NAME = (
+    "kpyr-5-still", "kpyr-5s-still", "kpyr-5-color", "kpyr-5s-color", "munet-x1", "munet-x2",
+)  # fmt: skip
 # onnxruntime lists it everywhere; it sends work to a service and computes nothing here
 _REMOTE = {"AzureExecutionProvider"}
 

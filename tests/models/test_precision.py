@@ -18,7 +18,10 @@ from stillray.models.registry import find_model, list_models
 from stillray.models.session import read_checked
 
 ROOM = Path(__file__).parents[1] / "data" / "room"
-WITH_INTEGERS = ["kpyr-5", "kpyr-5s", "kpyr-5-still", "kpyr-5s-still", "munet-x1", "munet-x2"]
+WITH_INTEGERS = [
+    "kpyr-5", "kpyr-5s", "kpyr-5-still", "kpyr-5s-still", "kpyr-5-color", "kpyr-5s-color",
+    "munet-x1", "munet-x2",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("model", WITH_INTEGERS)

@@ -10,7 +10,13 @@ import pytest
 from stillray.errors import InputError
 from stillray.model_spec import load
 from stillray.models import registry
-from stillray.models.registry import differences, find_model, list_models, qualities
+from stillray.models.registry import (
+    differences,
+    find_model,
+    for_single_frames,
+    list_models,
+    qualities,
+)
 from stillray.pipeline.denoiser import Denoiser
 from tests.conftest import make_frame
 
@@ -81,6 +87,16 @@ def test_a_quality_is_another_model_where_frames_have_no_past(quality, stream, a
     # who names a model gets it
     with Denoiser(stream, temporal=False) as denoiser:
         assert denoiser.model.name == stream
+
+
+@pytest.mark.parametrize(
+    ("quality", "color"),
+    [("high", "kpyr-5-color"), ("balanced", "kpyr-5-color"), ("fast", "kpyr-5s-color")],
+)
+def test_a_quality_is_another_model_where_single_frames_have_no_guides(quality, color):
+    assert for_single_frames(quality, guided=False) == color
+    assert find_model(color).spec.inputs.optional == ()
+    assert for_single_frames("kpyr-5-still", guided=False) == "kpyr-5-still"
 
 
 def test_a_model_of_single_frames_takes_no_past():

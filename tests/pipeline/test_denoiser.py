@@ -18,6 +18,7 @@ import stillray
 from stillray.families.registry import kernels_of
 from stillray.families.temporal_kernels import history_of
 from stillray.frame import Frame
+from stillray.models.registry import for_single_frames
 from stillray.profiling.synthetic import swing
 from tests.conftest import ODD_SIZES, clean_color, make_frame, remembered
 
@@ -562,3 +563,41 @@ def test_pictures_go_where_the_caller_says():
         for wrong in (half[:4], half.astype(np.uint8), [1.0], np.broadcast_to(half, half.shape)):
             with pytest.raises(stillray.InputError, match="out must"):
                 denoiser.denoise(frame, out=wrong)
+
+
+@pytest.mark.parametrize("quality", ["high", "fast"])
+def test_frames_of_color_alone_go_to_a_model_that_learned_from_such(quality):
+    guided = make_frame(33, 50, 1)
+    color = Frame(color=guided.color, depth=guided.depth)
+    normals = Frame(color=guided.color, normal=guided.normal)
+    other = for_single_frames(quality, guided=False)
+    with (
+        stillray.Denoiser(quality, temporal=False) as mixed,
+        stillray.Denoiser(mixed.model.name) as as_named,
+        stillray.Denoiser(other) as of_color,
+    ):
+        # whatever came before
+        for frame in (color, guided, color, normals, color):
+            of = of_color if frame is color else as_named
+            np.testing.assert_array_equal(mixed.denoise(frame), of.denoise(frame))
+            assert set(mixed.last_timings) == set(of.last_timings)
+            assert mixed.stages(frame) == of.stages(frame)
+        layers = {"half": color.color / 2}
+        image, filtered = mixed.denoise_layers(color, layers)
+        np.testing.assert_array_equal(image, of_color.denoise(color))
+        np.testing.assert_allclose(2 * filtered["half"], image, rtol=1e-4)
+    np.testing.assert_array_equal(stillray.denoise(color.color, model=quality), image)
+    with pytest.raises(stillray.InputError, match="closed"):
+        mixed.denoise(color)
+
+
+def test_who_names_a_model_has_it_for_frames_of_color_alone_too():
+    color = Frame(color=make_frame(33, 50, 1).color)
+    with (
+        stillray.Denoiser("kpyr-5-still", temporal=False) as alone,
+        stillray.Denoiser("kpyr-5-still") as stream,
+        stillray.Denoiser("high", temporal=False) as quality,
+    ):
+        image = alone.denoise(color)
+        np.testing.assert_array_equal(image, stream.denoise(color))
+        assert np.abs(image - quality.denoise(color)).max() > 0.001

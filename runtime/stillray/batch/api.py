@@ -383,16 +383,11 @@ def plan_run(
         ),
         layers=layers,
     )
-    layout = Layout.of(
-        first_run(jobs),
-        layers=layers,
-        aovs=options.aovs,
-        only_color=options.only_color,
-        temporal=temporal and "motion" not in options.companions,
-        told=options.told,
-    )
+    layout = _layout(jobs, options)
     _check_outputs(jobs, layout, resume=options.resume)
-    chosen, family = _opened(model, options, alone=not temporal or len(jobs) == 1)
+    if not temporal or len(jobs) == 1 or not layout.has_motion:
+        model = for_single_frames(model, guided=layout.has_guides)
+    chosen, family = _opened(model, options)
     layout = replace(layout, knows_jitter=chosen.spec.knows_jitter)
     memory, cuts = _memory(family, options, len(jobs)), options.cuts and temporal
     precision = _precision(chosen, options)
@@ -427,6 +422,19 @@ def plan_run(
     )
 
 
+def _layout(jobs: Sequence[ShotFrame], options: ShotOptions) -> Layout:
+    """How files are read and written; what buffers frames have, in whatever file."""
+    layout = Layout.of(
+        first_run(jobs),
+        layers=options.layers,
+        aovs=options.aovs,
+        only_color=options.only_color,
+        temporal=options.temporal and "motion" not in options.companions,
+        told=options.told,
+    )
+    return replace(layout, roles=layout.roles | options.companions.keys())
+
+
 def _check_outputs(jobs: Sequence[ShotFrame], layout: Layout, *, resume: bool) -> None:
     """Raise `InputError` where a float map cannot hold what is asked of it."""
     maps = [job.output for job in jobs if job.output is not None and is_float_map(job.output)]
@@ -439,17 +447,9 @@ def _check_outputs(jobs: Sequence[ShotFrame], layout: Layout, *, resume: bool) -
         )
 
 
-def _opened(name: str, options: ShotOptions, *, alone: bool) -> tuple[ModelInfo, Family]:
-    """A model and its family; what it can never do is refused before a frame is run.
-
-    Parameters
-    ----------
-    name, options
-        Of the shot.
-    alone
-        Whether no frame has a past.
-    """
-    model = model_of(for_single_frames(name) if alone else name)
+def _opened(name: str, options: ShotOptions) -> tuple[ModelInfo, Family]:
+    """A model and its family; what it can never do is refused before a frame is run."""
+    model = model_of(name)
     if options.ensemble != 1:
         model = with_overrides(model, ensemble=options.ensemble)
     family = family_of_model(model, options.providers)

@@ -18,7 +18,7 @@ from stillray.io.exr.layers import colors_beside
 from stillray.io.exr.read import read_lights
 from stillray.io.exr.views import VIEW
 from stillray.io.exr.write import CleanView, expected_changes, write_color, write_exr, write_views
-from stillray.io.frame_file import read_frame, views_to_denoise
+from stillray.io.frame_file import read_frame, roles_of, views_to_denoise
 from stillray.io.image_file import is_float_map, kind_of_map, write_image
 
 
@@ -75,6 +75,8 @@ class Layout:
     knows_jitter
         Whether the model looks at the frames' jitter, see `stillray.model_spec.ModelSpec`.
         What a model does not look at stands in the files as it stood, whatever it is.
+    roles
+        Of the buffers that the first frame's files have, that with the color and all others.
     """
 
     layers: Mapping[str, str] = field(default_factory=dict)
@@ -84,6 +86,7 @@ class Layout:
     told: Told = Told()
     views: tuple[str, ...] = ()
     knows_jitter: bool = True
+    roles: frozenset[str] = frozenset()
 
     @classmethod
     def of(
@@ -120,7 +123,19 @@ class Layout:
             detection=detect_in_sequence(paths, layers=looked_at) if temporal else None,
             told=told,
             views=views,
+            roles=roles_of(paths[0], layers),
         )
+
+    @property
+    def has_motion(self) -> bool:
+        """Whether frames have motion whose meaning is known, and so can have a past."""
+        proven = self.detection is not None and self.detection.convention is not None
+        return proven or "motion" in self.roles
+
+    @property
+    def has_guides(self) -> bool:
+        """Whether frames have albedo or normals."""
+        return not self.roles.isdisjoint(("albedo", "normal"))
 
     @property
     def of_views(self) -> tuple[Mapping[str, str], ...]:

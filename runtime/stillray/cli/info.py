@@ -64,11 +64,9 @@ def info(
     from stillray.io.exr.views import VIEW
     from stillray.io.file_sequence import expand
     from stillray.io.image_file import is_float_map
-    from stillray.models.registry import for_single_frames
 
     chosen = parse_overrides(layer or []) | ({} if view is None else {VIEW: view})
     paths = [numbered.path for numbered in expand(file)]
-    model = for_single_frames(model) if len(paths) == 1 else model
     if is_float_map(paths[0]):
         _show(_of_float_map(paths[0], model), as_json, _print_facts)
         return
@@ -172,6 +170,8 @@ def _collect(paths: Sequence[Path], model: str, chosen: dict[str, str]) -> dict[
     jitter, wrong = _find_jitter(opened, chosen)
     frame = replace(frame, jitter=jitter)
     part = opened.container.parts[opened.channels[matches[0].channels[0]][0]]
+    if len(paths) == 1 or not any(m.role == "motion" and m.used for m in matches):
+        model = _of_single_frames(model, frame)
     spec, stages = _stages(frame, model)
     if wrong and spec.knows_jitter:
         raise InputError(wrong)
@@ -214,7 +214,7 @@ def _of_float_map(path: Path, model: str) -> dict[str, Any]:
     frame = read_frame(path, {})
     channels = ["R", "G", "B"] if read_image(path, "color").shape[2] == 3 else ["Y"]
     kind = kind_of_map(path)
-    spec, stages = _stages(frame, model)
+    spec, stages = _stages(frame, _of_single_frames(model, frame))
     window = [0, 0, frame.shape[1], frame.shape[0]]
     return {
         "file": str(path),
@@ -250,6 +250,13 @@ def _of_float_map(path: Path, model: str) -> dict[str, Any]:
         "warnings": [],
         **stages,
     }
+
+
+def _of_single_frames(model: str, frame: Frame) -> str:
+    """What a quality is for frames like this one, which have no past."""
+    from stillray.models.registry import for_single_frames
+
+    return for_single_frames(model, guided=frame.albedo is not None or frame.normal is not None)
 
 
 def _stages(frame: Frame, model: str) -> tuple[ModelSpec, dict[str, Any]]:

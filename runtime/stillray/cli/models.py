@@ -14,7 +14,8 @@ _WORK_SIZE = 1280, 720  # pixels
 _NOTE = """
 Scores: of sequences of 1 sample a pixel, with the weights as they were exported; bias in %.
 Found by name, too: {unlisted}.
-Names that end in -still are what qualities are of frames that have no past."""
+Names that end in -still are what qualities are of frames that have no past, those that end in
+-color of such frames with neither albedo nor normals."""
 
 
 def models(

@@ -64,7 +64,9 @@ class DepthToSpace:
         blocks = self._blocks[part, ..., top // 2 : -(-bottom // 2), :]
         count, _, _, height, width = blocks.shape
         shape = (count, height, 2, width, 2)
-        whole = self._strips.workspace.array(name, shape, self._blocks.dtype.type)
+        # networks in integers and in floats may take turns
+        dtype = self._blocks.dtype.type
+        whole = self._strips.workspace.array(f"{name}, {dtype.__name__}", shape, dtype)
         for plane, of_plane in zip(whole, blocks, strict=True):
             for line, pair in enumerate(of_plane):
                 cv2.merge(list(pair), dst=plane[:, line])

@@ -93,7 +93,7 @@ class TemporalKernels(ABC):
             optional=frozenset(spec.inputs.optional),
             tile_alignment=looks.alignment,
             tile_overlap=looks.overlap,
-            memory=MEMORY_FRAMES,
+            memory=MEMORY_FRAMES if spec.knows_past else 0,
             integers=self.takes_integers,
             views=self.ensemble,
         )

@@ -13,6 +13,7 @@ import numpy as np
 from stillray.errors import InputError
 from stillray.frame import Frame
 from stillray.io.channels.motion_convention import MotionConvention
+from stillray.io.channels.roles import find_layers
 from stillray.io.exr.file import ExrFile
 from stillray.io.exr.layers import check_layer
 from stillray.io.exr.read import read_exr
@@ -47,6 +48,24 @@ def check_buffer(path: Path, role: str, layers: Mapping[str, str] | None = None)
         return
     for view in views_to_denoise(path, layers or {}) or (None,):
         check_layer(path, role, layers if view is None else {**(layers or {}), VIEW: view})
+
+
+def roles_of(path: Path, layers: Mapping[str, str]) -> frozenset[str]:
+    """Roles of the buffers that are taken from a file; of several views those of the first.
+
+    Motion whose meaning has to be proven is not among them. Pixels are not read.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or lacks a layer that was named.
+    """
+    if is_float_map(path):
+        return frozenset({"color"})
+    views = views_to_denoise(path, layers)
+    chosen = {**layers, VIEW: views[0]} if views else layers
+    file = ExrFile.of_layers(path, chosen, headers_only=True)
+    return frozenset(match.role for match in find_layers(file.channels, chosen) if match.used)
 
 
 def read_frame(

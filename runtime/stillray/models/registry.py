@@ -77,9 +77,17 @@ def qualities() -> dict[str, str]:
     return {quality: model for quality, model in _named().items() if isinstance(model, str)}
 
 
-def for_single_frames(name: str) -> str:
-    """The model to take for a quality where every frame is denoised alone; other names as given."""
-    return str(_named()["alone"].get(name, name))
+def for_single_frames(name: str, *, guided: bool = True) -> str:
+    """The model to take for a quality where every frame is denoised alone; other names as given.
+
+    Parameters
+    ----------
+    name
+        A quality, or a model's name.
+    guided
+        Whether frames have albedo or normals.
+    """
+    return str(_named()["alone" if guided else "color"].get(name, name))
 
 
 def _named() -> dict[str, Any]:

@@ -32,10 +32,11 @@ from stillray.models.registry import (
 )
 from stillray.models.session import Provider
 from stillray.pipeline.layers import validated
-from stillray.pipeline.opening import engine_of_model, family_of_model, model_of, network_path
+from stillray.pipeline.opened import OpenedModel
+from stillray.pipeline.opening import model_of
 from stillray.pipeline.output import Target
 from stillray.pipeline.plan import Asked, plan_frame, require_memory
-from stillray.pipeline.prefilter import PREFILTER, Prefilter, foretold, prefilter_stages
+from stillray.pipeline.prefilter import PREFILTER, foretold, prefilter_stages
 from stillray.pipeline.tiles import check_memory
 from stillray.pipeline.turns import Turns
 from stillray.stages.plan import Plan, Stage
@@ -59,8 +60,9 @@ class Denoiser:
         ONNX Runtime execution providers: names, or names with their options; None for the CPU.
         They run the network, and of a frame graph all.
     temporal
-        Whether frames are accumulated; without, each is denoised alone: ``"high"`` is then a model
-        that has learned nothing else, kpyr-5-still or kpyr-5s-still.
+        Whether frames are accumulated; without, each is denoised alone: a quality is then a model
+        that has learned nothing else, ``"high"`` kpyr-5-still, and for frames that have neither
+        albedo nor normals kpyr-5-color.
     max_memory
         Bytes that the process should stay below: larger frames are denoised in tiles, which
         takes longer and differs by rounding. None for whole frames.
@@ -111,31 +113,39 @@ class Denoiser:
             raise InputError(f"temporal must be True or False, got {temporal!r}")
         if isinstance(providers, str):
             raise InputError(f"providers must be a sequence of names, got the string '{providers}'")
-        chosen = tuple(providers) if providers else None
-        if isinstance(model, str) and not temporal:
-            model = for_single_frames(model)
-        self.model = model_of(model)
-        if ensemble != 1 or isinstance(ensemble, bool):
-            self.model = with_overrides(self.model, ensemble=ensemble)
+        quality = model if isinstance(model, str) and not temporal else None
+        if quality is not None:
+            model = for_single_frames(quality)
+
+        def opened(model: str | os.PathLike[str] | ModelInfo, given: Engine | None) -> OpenedModel:
+            info = model_of(model)
+            if ensemble != 1 or isinstance(ensemble, bool):
+                info = with_overrides(info, ensemble=ensemble)
+            return OpenedModel.of(
+                info,
+                threads=threads,
+                providers=tuple(providers) if providers else None,
+                precision=precision,
+                engine=given,
+                families=self.families,
+            )
+
+        self._opened = opened(model, engine)
+        # of frames without guides: opened where one first comes
+        self._unguided: OpenedModel | None = None
+        self._open_unguided: Callable[[], OpenedModel] | None = None
+        if quality is not None and engine is None:
+            other = for_single_frames(quality, guided=False)
+            if other != model:
+                self._open_unguided = partial(opened, other, None)
         #: Whether frames are accumulated.
         self.temporal = temporal and self.model.spec.knows_past
         self.max_memory = max_memory
         #: Stage name to milliseconds, of the last frame; stages that did not run are absent.
         self.last_timings: dict[str, float] = {}
-        self._family = family_of_model(self.model, chosen, self.families)
-        network = network_path(self.model, precision, chosen)
-        #: In what numbers the network computes, unless ``engine`` was given: ``"float32"`` or
-        #: ``"int8"``.
-        self.precision = "float32" if network == self.model.path else "int8"
-        #: Where the network runs.
-        self.engine: Engine = engine or engine_of_model(self.model, threads, chosen, network)
-        self._owns_engine = engine is None
-        prefilter = self.model.spec.prefilter.albedo
-        exact = precision if precision == "float32" else "auto"
-        self._prefilter = Prefilter(prefilter, threads, chosen, exact) if prefilter else None
         self._turns = Turns()
-        self._strips = Strips(threads)
         self._workspace = Workspace()
+        self._strips = Strips(threads)
         self._state: State | None = None
         self._back_buffer: State | None = None  # what the next state may overwrite
         self._shared = False  # whether somebody may hold the current state
@@ -160,16 +170,36 @@ class Denoiser:
             A frame is in work, on another thread or in whose ``progress`` this is.
         """
         self._turns.close()
-        if self._owns_engine:
-            self.engine.close()
-        if self._prefilter is not None:
-            self._prefilter.close()
+        self._opened.close()
+        if self._unguided is not None:
+            self._unguided.close()
         self._strips.close()
+
+    @property
+    def model(self) -> ModelInfo:
+        """The model; of a quality, that of frames with albedo or normals."""
+        return self._opened.model
+
+    @property
+    def precision(self) -> str:
+        """In what numbers its network computes, unless ``engine`` was given: ``"float32"`` or
+        ``"int8"``.
+        """
+        return self._opened.precision
+
+    @property
+    def engine(self) -> Engine:
+        """Where its network runs."""
+        return self._opened.engine
+
+    @engine.setter
+    def engine(self, engine: Engine) -> None:
+        self._opened.engine = engine
 
     @property
     def scale(self) -> int:
         """Pixels of the picture for one of the frame, along each axis."""
-        return self._family.traits.scale
+        return self._opened.family.traits.scale
 
     @property
     def state(self) -> State | None:
@@ -212,12 +242,13 @@ class Denoiser:
         self.state = keeps.unpack(read_arrays(path))
 
     def _keeps(self) -> Keeps:
-        if not isinstance(self._family, Keeps):
+        family = self._opened.family
+        if not isinstance(family, Keeps):
             raise InputError(
                 f"state must be that of a model that learns while it denoises, got "
                 f"{self.model.name}, whose past is made anew from a few frames"
             )
-        return self._family
+        return family
 
     def reset(self) -> None:
         """Forget the past: call it at a cut. What was learned from frames outlives cuts.
@@ -248,8 +279,10 @@ class Denoiser:
         """
         _require_frame(frame)
         with self._turns.take():
-            before, frame = foretold(frame, self.model.spec)
-            return [*before, *self._plan(frame, layers, Context(strips=self._strips)).stages]
+            opened = self._opened_for(frame)
+            before, frame = foretold(frame, opened.model.spec)
+            plan = self._plan(frame, layers, Context(strips=self._strips), opened)
+            return [*before, *plan.stages]
 
     def denoise(
         self,
@@ -310,14 +343,14 @@ class Denoiser:
             raise InputError("denoise_alpha must be False for a frame without alpha, got True")
         target = Target.of(out, dtype, (height, width, channels))
         values = encoding_of(encoding)
-        with self._turn(progress) as engine:
+        with self._turn(progress, frame) as opened:
             if values is not Encoding.HDR:
                 frame = replace(frame, color=decoded(frame.color, values, self._strips))
             alpha = None if frame.alpha is None else repair_alpha(frame.alpha, self._strips)
             layers = {}
             if denoise_alpha and alpha is not None:
                 layers["alpha"] = _grey(alpha, self._strips)
-            image, filtered, state = self._frame(frame, layers, engine)
+            image, filtered, state = self._frame(frame, layers, opened)
             image = encoded(image, values, self._strips)
             if denoise_alpha:
                 alpha = np.clip(filtered["alpha"][..., 0], 0, 1)
@@ -370,42 +403,53 @@ class Denoiser:
             name: Layer(radiance=layer, irradiance=name in irradiance)
             for name, layer in validated(layers, frame).items()
         }
-        with self._turn(progress) as engine:
-            image, filtered, state = self._frame(frame, given, engine)
+        with self._turn(progress, frame) as opened:
+            image, filtered, state = self._frame(frame, given, opened)
             self._remember(state)
         return image, filtered
 
     @contextmanager
-    def _turn(self, progress: Progress | None) -> Iterator[Engine]:
-        """A frame's turn, looked at; gives what runs networks."""
+    def _turn(self, progress: Progress | None, frame: Frame) -> Iterator[OpenedModel]:
+        """A frame's turn, looked at; gives the model that denoises it."""
         if progress is not None and not callable(progress):
             raise InputError(f"progress must be something to call, or None, got {progress!r}")
         with self._turns.take():
             before, self.last_timings = self.last_timings, {}
-            watch = self._strips.watch
+            watch, opened = self._strips.watch, self._opened_for(frame)
+            if progress is not None:
+                opened = replace(opened, engine=WatchedEngine(opened.engine, watch))
             with watch.over(progress, partial(share_done, self.last_timings, before)):
-                yield self.engine if progress is None else WatchedEngine(self.engine, watch)
+                yield opened
+
+    def _opened_for(self, frame: Frame) -> OpenedModel:
+        """The model that denoises a frame: there may be one that learned without its guides."""
+        if self._open_unguided is None or frame.albedo is not None or frame.normal is not None:
+            return self._opened
+        if self._unguided is None:
+            self._unguided = self._open_unguided()
+        return self._unguided
 
     def _frame(
         self,
         frame: Frame,
         layers: Mapping[str, Layer],
-        engine: Engine,
+        opened: OpenedModel,
     ) -> tuple[np.ndarray, dict[str, np.ndarray], State]:
         """The picture, layers by name, and what is to be remembered."""
         context = Context(
             strips=self._strips,
-            engine=engine,
+            engine=opened.engine,
             workspace=self._workspace,
             timings=self.last_timings,
             back_buffer=self._back_buffer,
         )
-        first = prefilter_stages(frame, self.model.spec)
-        if self._prefilter is not None and any(stage.runs for stage in first):
-            require_memory(frame, self._family, self._asked(layers))  # more than a prefilter's
+        first = prefilter_stages(frame, opened.model.spec)
+        if opened.prefilter is not None and any(stage.runs for stage in first):
+            asked = self._asked(layers, opened)
+            require_memory(frame, opened.family, asked)  # more than a prefilter's
             with timed(self.last_timings, PREFILTER):
-                frame = self._prefilter.denoised(frame, context, self.max_memory)
-        step = self._family.step(self._plan(frame, layers, context), context)
+                frame = opened.prefilter.denoised(frame, context, self.max_memory)
+        step = opened.family.step(self._plan(frame, layers, context, opened), context)
         images: dict[str, np.ndarray] = {}
         if step.filter_layer is not None:
             with timed(self.last_timings, "layers"):
@@ -413,16 +457,19 @@ class Denoiser:
                     images[name] = step.filter_layer(name, layer)
         return step.image, images, step.finish()
 
-    def _plan(self, frame: Frame, layers: Collection[str], context: Context) -> Plan:
-        return plan_frame(frame, self._state, self._family, self._asked(layers), context)
+    def _plan(
+        self, frame: Frame, layers: Collection[str], context: Context, opened: OpenedModel
+    ) -> Plan:
+        asked = self._asked(layers, opened)
+        return plan_frame(frame, self._state, opened.family, asked, context)
 
-    def _asked(self, layers: Collection[str]) -> Asked:
+    def _asked(self, layers: Collection[str], opened: OpenedModel) -> Asked:
         return Asked(
-            model=self.model.name,
+            model=opened.model.name,
             temporal=self.temporal,
             layers=layers,
             max_memory=self.max_memory,
-            integers=self.precision == "int8",
+            integers=opened.precision == "int8",
         )
 
     def _remember(self, state: State) -> None:
