@@ -389,7 +389,8 @@ def plan_run(
         model = for_single_frames(model, guided=layout.has_guides)
     chosen, family = _opened(model, options)
     layout = replace(layout, knows_jitter=chosen.spec.knows_jitter)
-    memory, cuts = _memory(family, options, len(jobs)), options.cuts and temporal
+    memory = _memory(family, options, len(jobs))
+    cuts = options.cuts and temporal and chosen.spec.knows_past
     precision = _precision(chosen, options)
     recipe = _recipe(chosen, precision, layout, options)
     done = [False] * len(jobs)
