@@ -59,9 +59,8 @@ def denoise_result(engine, rendered: list[_Rendered]) -> None:
             result.put_picture(layers[job.layer], size, view.name, picture)
 
 
-def _layer_rendered(engine, depsgraph) -> None:
+def _layer_rendered(engine, scene, layer) -> None:
     """Take note of a view layer that Cycles has rendered."""
-    scene, layer = depsgraph.scene, depsgraph.view_layer
     if engine.is_preview or not scene.stillray.enabled or not layer.cycles.use_denoising:
         return
     for lack in passes.missing(scene, layer):
@@ -86,9 +85,11 @@ def _frame_rendered(engine) -> None:
 
 def _wrapped_render(original):
     def render(engine, depsgraph):  # Blender counts the arguments
+        # Cycles frees the graph when it has rendered, and then it may know no scene
+        scene, layer = depsgraph.scene, depsgraph.view_layer
         original(engine, depsgraph)
         with _told(engine):
-            _layer_rendered(engine, depsgraph)
+            _layer_rendered(engine, scene, layer)
 
     return render
 
