@@ -113,6 +113,21 @@ def test_what_is_ignored_is_said_in_one_line(files, capsys):
     np.testing.assert_allclose(read_pfm("out.pfm"), read_pfm("plain.pfm"), rtol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("given", "model"),
+    [
+        (["--hdr", "color.pfm"], "kpyr-5s-color"),
+        (["--hdr", "color.pfm", "--alb", "albedo.pfm"], "kpyr-5s-still"),
+        (["--alb", "albedo.pfm"], "kpyr-5s-albedo"),
+        (["--nrm", "normal.pfm"], "kpyr-5s-color"),
+    ],
+)
+def test_the_model_that_is_named_is_the_one_that_ran(given, model, files, capsys):
+    write_pfm("normal.pfm", files.normal)
+    assert main([*given, "-o", "out.pfm", "-q", "fast", "-v", "1"]) == 0
+    assert f" {model}: 32x40" in capsys.readouterr().out
+
+
 def test_exr_goes_in_and_comes_out(files, capsys):
     write_exr("color.exr", files.color)
     assert main(["--hdr", "color.exr", "--alb", "albedo.pfm", "-o", "out.exr", *FAST]) == 0

@@ -11,6 +11,7 @@ import numpy as np
 from stillray.arrays.encoding import Encoding
 from stillray.errors import InputError
 from stillray.frame import Frame
+from stillray.models.registry import for_single_frames
 from stillray.oidn.constants import OIDN_FILTER_TYPE_RT, OIDN_FILTER_TYPE_RT_LIGHTMAP
 from stillray.pipeline.denoiser import Denoiser
 from stillray.pipeline.tiles import MemoryUse
@@ -56,7 +57,11 @@ class Parameters:
 
 def model_for(images: Mapping[str, np.ndarray], quality: str) -> str:
     """The model, as `stillray.Denoiser` takes it, that filters images at a quality."""
-    return ALBEDO_MODEL if set(images) == {"albedo"} else quality
+    if set(images) == {"albedo"}:
+        return ALBEDO_MODEL
+    # normals that are filtered themselves guide nothing
+    guided = "color" in images and not images.keys().isdisjoint(("albedo", "normal"))
+    return for_single_frames(quality, guided=guided)
 
 
 def filtered(

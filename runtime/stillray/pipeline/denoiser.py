@@ -556,5 +556,7 @@ def denoise(
         filter_spread=filter_spread,
         clean_features=clean_features,
     )
+    if isinstance(model, str):  # the only one that is opened
+        model = for_single_frames(model, guided=albedo is not None or normal is not None)
     with Denoiser(model, threads=threads, temporal=False, ensemble=ensemble) as denoiser:
         return denoiser.denoise(frame)
