@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +23,10 @@ _CHANNELS = {
     "specular_albedo": 3,
     "alpha": 1,
 }
+#: Buffers that guide what filters a single frame.
+GUIDES = ("albedo", "normal")
+#: Buffers that tell of the surfaces that are seen.
+SURFACES = (*GUIDES, "depth")
 #: Samples a pixel that a frame may have; more is taken for a mistake.
 MOST_SAMPLES = 1e9
 
@@ -140,6 +146,20 @@ class Frame:
         """Names of the buffers that this frame holds."""
         names = {f.name for f in fields(self)} - {"clean_features"}
         return frozenset(name for name in names if getattr(self, name) is not None)
+
+    @property
+    def guided(self) -> bool:
+        """Whether it has any of `GUIDES`."""
+        return not self.given.isdisjoint(GUIDES)
+
+    def without(self, names: Iterable[str]) -> Frame:
+        """The same frame without some of its optional buffers."""
+        left: dict[str, Any] = dict.fromkeys(self.given.intersection(names))
+        return replace(self, **left) if left else self
+
+    def for_inputs(self, names: Collection[str]) -> Frame:
+        """The same without what tells of surfaces, but for the buffers that a model takes."""
+        return self.without(name for name in SURFACES if name not in names)
 
     @property
     def channels(self) -> int:

@@ -22,11 +22,17 @@ def shot(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for number in range(1, FRAMES + 1):
         frame = make_frame(24, 33, number, shift=1.0)
-        channels = {name: frame.color[..., i] for i, name in enumerate("RGB")}
-        channels |= {f"albedo.{name}": frame.albedo[..., i] for i, name in enumerate("RGB")}
-        channels |= {"motion.X": frame.motion[..., 0], "motion.Y": frame.motion[..., 1]}
-        write_channels(tmp_path / f"shot.{number:02d}.exr", channels)
+        write(tmp_path / f"shot.{number:02d}.exr", frame)
     return tmp_path
+
+
+def write(path, frame, *, albedo=True, motion=True):
+    channels = {name: frame.color[..., i] for i, name in enumerate("RGB")}
+    if albedo:
+        channels |= {f"albedo.{name}": frame.albedo[..., i] for i, name in enumerate("RGB")}
+    if motion:
+        channels |= {"motion.X": frame.motion[..., 0], "motion.Y": frame.motion[..., 1]}
+    write_channels(path, channels)
 
 
 def pictures(pattern):
@@ -96,12 +102,7 @@ def without(shot, *layers):
     """The shot's files once more, without some of their layers: as bare.01.exr and on."""
     for number in range(1, FRAMES + 1):
         frame = read_exr(shot / f"shot.{number:02d}.exr")
-        channels = {name: frame.color[..., i] for i, name in enumerate("RGB")}
-        if "albedo" not in layers:
-            channels |= {f"albedo.{name}": frame.albedo[..., i] for i, name in enumerate("RGB")}
-        if "motion" not in layers:
-            channels |= {"motion.X": frame.motion[..., 0], "motion.Y": frame.motion[..., 1]}
-        write_channels(shot / f"bare.{number:02d}.exr", channels)
+        write(shot / f"bare.{number:02d}.exr", frame, **dict.fromkeys(layers, False))
 
 
 @pytest.mark.parametrize(
@@ -141,10 +142,7 @@ def test_a_still_that_is_changed_makes_none_beside_it_anew(shot):
     without(shot, "motion")
     options = stillray.ShotOptions(threads=1, resume=True)
     stillray.denoise_shot("bare.##.exr", "n.##.exr", options=options)
-    frame = make_frame(24, 33, 99)
-    channels = {name: frame.color[..., i] for i, name in enumerate("RGB")}
-    channels |= {f"albedo.{name}": frame.albedo[..., i] for i, name in enumerate("RGB")}
-    write_channels(shot / "bare.02.exr", channels)
+    write(shot / "bare.02.exr", make_frame(24, 33, 99), motion=False)
     again = stillray.denoise_shot("bare.##.exr", "n.##.exr", options=options)
     assert [done.step.job.number for done in again.frames if done.step.writes] == [2]
 

@@ -601,3 +601,13 @@ def test_who_names_a_model_has_it_for_frames_of_color_alone_too():
         image = alone.denoise(color)
         np.testing.assert_array_equal(image, stream.denoise(color))
         assert np.abs(image - quality.denoise(color)).max() > 0.001
+
+
+@pytest.mark.parametrize("name", ["kpyr-5-color", "kpyr-5s-color"])
+def test_a_model_of_color_alone_looks_at_no_more_whatever_a_frame_has(name):
+    """Light was divided by an albedo that its network had never met."""
+    frame = make_frame(33, 50, 1)
+    with stillray.Denoiser(name, temporal=False) as denoiser:
+        image = denoiser.denoise(Frame(color=frame.color))
+        np.testing.assert_array_equal(denoiser.denoise(frame), image)
+        assert not any(s.runs for s in denoiser.stages(frame) if "modulate" in s.name)

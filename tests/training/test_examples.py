@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -14,8 +13,8 @@ from stillray.arrays.strips import Strips  # noqa: E402
 from stillray.model_spec import load  # noqa: E402
 from stillray_training.examples import load_examples  # noqa: E402
 from stillray_training.patches import PatchSampler  # noqa: E402
-from stillray_training.simulate.sequence import write  # noqa: E402
-from tests.conftest import clean_color, make_frame  # noqa: E402
+from tests.conftest import make_frame  # noqa: E402
+from tests.training.one_frame import write_one_frame  # noqa: E402
 
 SIZE = (40, 48)
 
@@ -38,11 +37,7 @@ def unpainted(name):
 def sequence(tmp_path):
     folder = tmp_path / "room-0000-0"
     folder.mkdir()
-    frame = make_frame(*SIZE, 1)
-    layers = ("color", "albedo", "normal", "depth")
-    write(folder / "frame_0000.exr", {layer: getattr(frame, layer) for layer in layers})
-    write(folder / "ref_0000.exr", {"color": clean_color(*SIZE)})
-    (folder / "sequence.json").write_text(json.dumps({"options": {"spp": 1}}))
+    write_one_frame(folder, SIZE)
     return folder
 
 

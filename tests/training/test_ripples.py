@@ -10,8 +10,7 @@ import pytest
 from stillray.model_spec import load
 from stillray_training.rendered import read_rendered
 from stillray_training.ripples import draw_ripples
-from stillray_training.simulate.sequence import write
-from tests.conftest import clean_color, make_frame
+from tests.training.one_frame import write_one_frame
 
 SHAPE = (96, 128)
 
@@ -54,11 +53,7 @@ def test_patterns_are_soft_and_have_many_sizes():
 
 
 def test_frames_and_reference_have_the_same_pattern(tmp_path):
-    frame = make_frame(*SHAPE, 1)
-    layers = ("color", "albedo", "normal", "depth")
-    write(tmp_path / "frame_0000.exr", {layer: getattr(frame, layer) for layer in layers})
-    write(tmp_path / "ref_0000.exr", {"color": clean_color(*SHAPE)})
-    (tmp_path / "sequence.json").write_text('{"options": {"spp": 1}}')
+    write_one_frame(tmp_path, SHAPE)
     recipe = load("wskp-3s").training
     plain = read_rendered(tmp_path, recipe)
     rippled = read_rendered(tmp_path, dataclasses.replace(recipe, ripple_share=1.0))

@@ -133,10 +133,8 @@ def save(path: Path, page: np.ndarray) -> None:
 def pictures(case: Case, model: str) -> tuple[list[tuple[str, np.ndarray]], float]:
     """Rows of a sheet, and the exposure of the reference: of the last frame of a case."""
     frames, references = case.read()
-    last, name = frames[-1], model
-    if case.kind in WITHOUT_PAST:
-        guided = last.albedo is not None or last.normal is not None
-        name = for_single_frames(model, guided=guided)
+    alone = case.kind in WITHOUT_PAST
+    name = for_single_frames(model, guided=frames[-1].guided) if alone else model
     name = find_model(name).name
     with Methods({name: model}, [_PEER]) as methods:
         found: dict[str, Any] = dict(methods.run(case, frames, len(references)))

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -175,8 +175,9 @@ class Runtime:
     def example(self, run: list[Frame], reference: np.ndarray) -> Example:
         """The last of some frames in a row, and what it is to become."""
         history: History | None = None
+        takes = (*self.spec.inputs.required, *self.spec.inputs.optional)
         for frame in run:
-            frame = self.prefiltered(_taken(frame, self.spec))
+            frame = self.prefiltered(frame.for_inputs(takes))
             prepared = prepare(frame, self.spec, history, self._strips, Wants(sample=True))
             history = prepared.history
         assert history is not None
@@ -387,13 +388,6 @@ def _with_blurred_past(example: Example, rng: np.random.Generator) -> Example:
     light = (frames * mean[..., :3] + own * example.sample[..., :3]) / (frames + own)
     mean = np.concatenate([light, own + frames], -1)
     return replace(example, mean=mean, previous=previous)
-
-
-def _taken(frame: Frame, spec: ModelSpec) -> Frame:
-    """A frame without the buffers that a model does not take."""
-    takes = {*spec.inputs.required, *spec.inputs.optional}
-    left: dict[str, Any] = dict.fromkeys({"albedo", "normal", "depth"} - takes)
-    return replace(frame, **left)
 
 
 def _given(feature: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:

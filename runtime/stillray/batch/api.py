@@ -386,7 +386,7 @@ def plan_run(
     layout = _layout(jobs, options)
     _check_outputs(jobs, layout, resume=options.resume)
     if not temporal or len(jobs) == 1 or not layout.has_motion:
-        model = for_single_frames(model, guided=layout.has_guides)
+        model = for_single_frames(model, guided=layout.guided)
     chosen, family = _opened(model, options)
     layout = replace(layout, knows_jitter=chosen.spec.knows_jitter)
     memory = _memory(family, options, len(jobs))

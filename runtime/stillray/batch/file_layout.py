@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stillray.errors import InputError, printable
-from stillray.frame import Frame
+from stillray.frame import GUIDES, Frame
 from stillray.io.channels.motion_detection import Detection, detect_in_sequence
 from stillray.io.channels.roles import JITTER
 from stillray.io.exr.jitter import JITTER_ATTRIBUTE
@@ -123,7 +123,7 @@ class Layout:
             detection=detect_in_sequence(paths, layers=looked_at) if temporal else None,
             told=told,
             views=views,
-            roles=roles_of(paths[0], layers),
+            roles=roles_of(paths[0], looked_at),
         )
 
     @property
@@ -133,9 +133,9 @@ class Layout:
         return proven or "motion" in self.roles
 
     @property
-    def has_guides(self) -> bool:
-        """Whether frames have albedo or normals."""
-        return not self.roles.isdisjoint(("albedo", "normal"))
+    def guided(self) -> bool:
+        """As `stillray.Frame` has it, of all frames."""
+        return not self.roles.isdisjoint(GUIDES)
 
     @property
     def of_views(self) -> tuple[Mapping[str, str], ...]:

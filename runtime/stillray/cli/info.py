@@ -256,7 +256,7 @@ def _of_single_frames(model: str, frame: Frame) -> str:
     """What a quality is for frames like this one, which have no past."""
     from stillray.models.registry import for_single_frames
 
-    return for_single_frames(model, guided=frame.albedo is not None or frame.normal is not None)
+    return for_single_frames(model, guided=frame.guided)
 
 
 def _stages(frame: Frame, model: str) -> tuple[ModelSpec, dict[str, Any]]:

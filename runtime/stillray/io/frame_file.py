@@ -51,7 +51,7 @@ def check_buffer(path: Path, role: str, layers: Mapping[str, str] | None = None)
 
 
 def roles_of(path: Path, layers: Mapping[str, str]) -> frozenset[str]:
-    """Roles of the buffers that are taken from a file; of several views those of the first.
+    """Roles of the buffers that are taken from a file, or from the view of it that was chosen.
 
     Motion whose meaning has to be proven is not among them. Pixels are not read.
 
@@ -62,10 +62,8 @@ def roles_of(path: Path, layers: Mapping[str, str]) -> frozenset[str]:
     """
     if is_float_map(path):
         return frozenset({"color"})
-    views = views_to_denoise(path, layers)
-    chosen = {**layers, VIEW: views[0]} if views else layers
-    file = ExrFile.of_layers(path, chosen, headers_only=True)
-    return frozenset(match.role for match in find_layers(file.channels, chosen) if match.used)
+    file = ExrFile.of_layers(path, layers, headers_only=True)
+    return frozenset(match.role for match in find_layers(file.channels, layers) if match.used)
 
 
 def read_frame(

@@ -10,7 +10,7 @@ import numpy as np
 
 from stillray.arrays.encoding import Encoding
 from stillray.errors import InputError
-from stillray.frame import Frame
+from stillray.frame import GUIDES, Frame
 from stillray.models.registry import for_single_frames
 from stillray.oidn.constants import OIDN_FILTER_TYPE_RT, OIDN_FILTER_TYPE_RT_LIGHTMAP
 from stillray.pipeline.denoiser import Denoiser
@@ -60,7 +60,7 @@ def model_for(images: Mapping[str, np.ndarray], quality: str) -> str:
     if set(images) == {"albedo"}:
         return ALBEDO_MODEL
     # normals that are filtered themselves guide nothing
-    guided = "color" in images and not images.keys().isdisjoint(("albedo", "normal"))
+    guided = "color" in images and not images.keys().isdisjoint(GUIDES)
     return for_single_frames(quality, guided=guided)
 
 
@@ -99,7 +99,7 @@ def filtered(
     guides: dict[str, Any] = {}
     # coefficients of a direction are not divided by albedo, and a guide has no guide
     if name == "color" and encoding is not Encoding.SIGNED:
-        guides = {n: _three(images[n]) for n in ("albedo", "normal") if n in images}
+        guides = {n: _three(images[n]) for n in GUIDES if n in images}
     frame = Frame(color=_three(subject), clean_features=parameters.clean_aux, **guides)
     denoiser.max_memory = None
     if parameters.max_memory_mb >= 0:

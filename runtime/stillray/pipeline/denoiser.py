@@ -423,7 +423,7 @@ class Denoiser:
 
     def _opened_for(self, frame: Frame) -> OpenedModel:
         """The model that denoises a frame: there may be one that learned without its guides."""
-        if self._open_unguided is None or frame.albedo is not None or frame.normal is not None:
+        if self._open_unguided is None or frame.guided:
             return self._opened
         if self._unguided is None:
             self._unguided = self._open_unguided()
@@ -557,6 +557,6 @@ def denoise(
         clean_features=clean_features,
     )
     if isinstance(model, str):  # the only one that is opened
-        model = for_single_frames(model, guided=albedo is not None or normal is not None)
+        model = for_single_frames(model, guided=frame.guided)
     with Denoiser(model, threads=threads, temporal=False, ensemble=ensemble) as denoiser:
         return denoiser.denoise(frame)

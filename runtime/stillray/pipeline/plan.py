@@ -69,6 +69,8 @@ def plan_frame(
         layers are asked for that the model or the memory does not allow.
     """
     traits, layers = family.traits, asked.layers
+    # what a network has not learned from is not divided by either
+    frame = frame.for_inputs(traits.required | traits.optional)
     if missing := sorted(traits.required - frame.given):
         how = _HOW.get(missing[0], "")
         raise InputError(f"{asked.model} needs the buffer {missing[0]}, which is not given{how}")

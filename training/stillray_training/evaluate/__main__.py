@@ -16,6 +16,7 @@ from rich.progress import track
 from stillray.cli import program
 from stillray.compare.metrics import METRICS
 from stillray.errors import InputError
+from stillray.frame import GUIDES
 from stillray.io.atomic import atomic_path
 from stillray.model_spec.decoders import MOST_ENSEMBLE
 from stillray.models.registry import (
@@ -97,7 +98,7 @@ def main(
 ) -> None:
     """Print every set's metrics, and where a model's picture is worse than its input."""
     kept_back = withheld(without)
-    guided = not {"albedo", "normal"} <= set(kept_back)
+    guided = not set(GUIDES) <= set(kept_back)
     alone = {for_single_frames(quality, guided=guided) for quality in qualities()}
     given = model or [*(info.name for info in list_models()), *sorted(alone)]
     models = with_ensembles(

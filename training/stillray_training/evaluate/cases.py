@@ -12,12 +12,11 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from stillray.errors import InputError
-from stillray.frame import Frame
+from stillray.frame import SURFACES, Frame
 from stillray.io.exr.read import read_exr
 from stillray_training.film import film_variance, frame_through_film, through_film, widened
 from stillray_training.simulate.sequence import RECORD
@@ -28,7 +27,7 @@ KINDS = ("sequences", "frames", "stills", "fed")
 #: Those of them whose frames have no past.
 WITHOUT_PAST = ("stills", "fed")
 #: Buffers that can be kept from what denoises.
-WITHHELD = ("albedo", "normal", "depth", "motion")
+WITHHELD = (*SURFACES, "motion")
 _STILLS = "spp"
 
 
@@ -93,8 +92,8 @@ class Case:
             frame = frame_through_film(frame, self.film)
             known = widened(known, film_variance(self.film))
         known = known if self.tells_filter else None
-        withheld: dict[str, Any] = dict.fromkeys(self.without)
-        return dataclasses.replace(frame, filter_spread=known, samples=samples, **withheld)
+        frame = dataclasses.replace(frame, filter_spread=known, samples=samples)
+        return frame.without(self.without)
 
 
 def find_cases(
